@@ -1,0 +1,204 @@
+"""Every constant of the package, as frozen dataclasses; defaults are the paper's tables.
+
+Where the paper gives no value the field's comment says ``choice``; PAPER.md lists and explains them.
+All values are SI: metres, seconds, radians.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from phase_sumo.errors import PhaseError
+
+C = TypeVar("C")
+
+
+@dataclass(frozen=True)
+class ActionConfig:
+    """Jerk x steering-rate lattice (paper: Action Space) and the prior's spread (Eq. kl_action_reg)."""
+
+    jerk: tuple[float, ...] = (-8.0, -4.0, -1.5, 0.0, 1.5, 3.0, 5.0)  # m/s^3, choice
+    # choice: non-uniform, so that 30 m/s (0.005 rad/s matters) and 3 m/s (0.3 rad/s) are both smooth
+    steering_rate: tuple[float, ...] = (-0.3, -0.08, -0.02, -0.005, 0.0, 0.005, 0.02, 0.08, 0.3)  # rad/s
+    prior_jerk: float = 2.5  # sigma_j of the prior, m/s^3, choice
+    prior_steering_rate: float = 0.03  # sigma of the prior's steering rate, rad/s, choice
+
+    @property
+    def count(self) -> int:
+        return len(self.jerk) * len(self.steering_rate)
+
+
+@dataclass(frozen=True)
+class SimConfig:
+    """World model (paper: Kinematic Model, Simulation Mechanisms, Observation Space)."""
+
+    dt: float = 0.1
+    horizon: int = 91  # steps of an episode (GPUDrive's)
+    goal_radius: float = 2.0  # m, swept between two positions
+    max_speed: float = 40.0  # m/s
+    accel_bounds: tuple[float, float] = (-8.0, 4.0)  # m/s^2, cars, choice
+    truck_accel_bounds: tuple[float, float] = (-6.0, 1.8)  # m/s^2, choice
+    max_steer: float = 0.7  # rad, choice
+    lateral_accel: float = 5.0  # m/s^2, grip that bounds v^2 tan(steer)/wheelbase, choice
+    truck_lateral_accel: float = 3.0  # m/s^2, below a laden semi's roll-over threshold, choice
+    neighbours: int = 16  # K
+    neighbour_range: float = 150.0  # m, choice
+    position_noise: float = 0.05  # m, sigma on partner and road positions while training, choice
+    speed_noise: float = 0.1  # m/s, choice
+    yaw_noise: float = 0.005  # rad, choice
+    min_speed: float = 1.0  # m/s, guard of the two rewards that divide by speed, choice
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Reward weights (paper: Table reward_constants) and goal-quality tolerances."""
+
+    goal: float = 3.3  # w_g
+    lane: float = 0.005  # w_l
+    collision: float = 1.0  # w_f
+    road_edge: float = 0.9  # w_e
+    termination: float = 8.3  # w_t
+    alignment: float = 0.09  # w_a
+    speed: float = 0.07  # w_s
+    progress: float = 0.25  # w_p
+    penalty_growth: float = 2.69  # lambda
+    kappa: float = 1.01
+    ramp_horizon: float = 5.0  # s, T_ramp
+    progress_decay: float = 100.0  # m, psi(d) = exp(-d / progress_decay), choice
+    goal_speed_tolerance: float = 2.0  # m/s within which w_s is 1, else 0.1, choice
+    goal_yaw_tolerance: float = 0.1  # rad within which w_a is 1, else 0.1, choice
+    # Units of ||g|| in the termination term and of |v - v_goal| in the speed term. With 1 m and 1 m/s a
+    # missed goal costs hundreds of goals; with GPUDrive's 1000 m and 100 m/s nobody heeds the target
+    # speed; these two balance the table's weights.
+    distance_unit: float = 1000.0  # m, choice
+    speed_unit: float = 10.0  # m/s, choice
+
+
+@dataclass(frozen=True)
+class Regime:
+    """One traffic regime (paper: Table scenario_stats); path bounds scale so that ~6 s of driving fit."""
+
+    name: str
+    path_bounds: tuple[float, float]  # D_min, D_max in m
+    base_speed: float  # v_base in m/s
+    agents: tuple[int, int]  # N before the curriculum switch
+    agents_late: tuple[int, int]  # N after it
+    lane_change_ratio: float  # P_lc before
+    lane_change_ratio_late: float  # P_lc after
+    tuples: int  # share of the 77 (map, pool) tuples
+
+    @property
+    def mean_path(self) -> float:
+        return 0.5 * (self.path_bounds[0] + self.path_bounds[1])
+
+
+REGIMES = (
+    Regime("jammed", (22.0, 58.0), 6.7, (96, 256), (144, 256), 0.4, 0.5, 22),
+    Regime("dense", (50.0, 130.0), 15.0, (64, 96), (96, 144), 0.4, 0.5, 22),
+    Regime("moderate", (78.0, 202.0), 23.3, (32, 64), (64, 96), 0.4, 0.5, 22),
+    Regime("free", (106.0, 274.0), 31.6, (1, 32), (1, 64), 0.4, 0.6, 11),
+)
+
+
+@dataclass(frozen=True)
+class ScenarioConfig:
+    """Online generator (paper: Synthetic Scenario Generation)."""
+
+    regimes: tuple[Regime, ...] = REGIMES
+    max_lane_changes: int = 3  # K
+    truck_ratio: float = 0.15  # P_truck, choice
+    rigid_truck_ratio: float = 0.3  # share of the trucks without a trailer, choice
+    init_speed_spread: float = 0.4  # eps_init ~ U(-s, s): Table scenario_stats read as half-ranges
+    goal_speed_bounds: tuple[float, float] = (-0.25, 0.5)  # eps_goal ~ U, choice: merging speeds up most
+    alpha_bounds: tuple[float, float] = (0.1, 1.0)
+    agent_scale: float = 1.0  # multiplies every regime's agent counts (small machines)
+    spawn_time_headway: float = 0.7  # s kept free ahead of a spawned vehicle, choice
+    spawn_gap: float = 2.0  # m kept free around it, choice
+    horizon_share: float = 0.85  # a path must be drivable in this share of the horizon, choice
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Policy network (paper: Model); 670 K parameters with the defaults, which are choices."""
+
+    width: int = 64  # of every element's embedding
+    heads: int = 4
+    feedforward: int = 128
+    seeds: int = 4  # of each attention pooling
+    trunk: int = 512
+    head: int = 256
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Self-play training (paper: Training); values the paper leaves open follow PPO practice."""
+
+    sim: SimConfig = SimConfig()
+    actions: ActionConfig = ActionConfig()
+    reward: RewardConfig = RewardConfig()
+    scenarios: ScenarioConfig = ScenarioConfig(agent_scale=0.25)
+    network: NetworkConfig = NetworkConfig()
+    worlds: int = 72
+    slots: int = 48  # agent slots per world
+    total_steps: int = 11_000_000  # agent steps
+    rollout: int = 16  # steps per world and update
+    minibatch: int = 2048
+    learning_rate: float = 5e-4  # annealed linearly to a tenth
+    gamma: float = 0.98
+    gae_lambda: float = 0.95
+    clip: float = 0.2  # epsilon
+    dclamp_alpha: float = 3.0  # 1 is plain PPO
+    dclamp_beta: float = 0.2
+    value_weight: float = 0.5
+    prior_weight: float = 3e-3  # lambda_KL
+    gradient_norm: float = 0.5
+    reweight: bool = True  # 1 / N_w
+    learn_share: float = 0.5  # of the samples, those with the largest |advantage|, are learnt from
+    curriculum: tuple[float, float] = (0.3, 0.8)  # shares of training at which rho starts and ends
+    bf16: bool = True  # matrix products of the network
+    held_out_every: int = 1_000_000  # agent steps between evaluations on the held-out maps
+    checkpoint_every: int = 500_000  # agent steps
+    seed: int = 0
+
+
+def preset(name: str) -> TrainConfig:
+    """A named training configuration; the ablations are the paper's Table main_ablation."""
+    phase = TrainConfig()
+    presets = {
+        "phase": phase,
+        "no-dclamp": dataclasses.replace(phase, dclamp_alpha=1.0),
+        "no-reweighting": dataclasses.replace(phase, reweight=False),
+        # rho never leaves 0: dense progress reward, early penalties and early scenarios throughout
+        "no-curriculum": dataclasses.replace(phase, curriculum=(2.0, 3.0)),
+        "smoke": dataclasses.replace(phase, worlds=16, slots=16, total_steps=40_000, minibatch=1024),
+    }
+    if name not in presets:
+        raise PhaseError(f"there is no preset {name!r}; choose one of: {', '.join(presets)}")
+    return presets[name]
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """A config as plain JSON types."""
+    return dataclasses.asdict(config)
+
+
+def from_dict(cls: type[C], data: dict[str, Any]) -> C:
+    """Inverse of `to_dict`; unknown keys and wrong shapes are refused by name."""
+    hints = typing.get_type_hints(cls)
+    known = {f.name for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    unknown = sorted(set(data) - known)
+    if unknown:
+        raise PhaseError(f"{cls.__name__} has no setting {unknown[0]!r}; known: {', '.join(sorted(known))}")
+    return cls(**{key: _restore(hints[key], value) for key, value in data.items()})
+
+
+def _restore(hint: Any, value: Any) -> Any:
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        return from_dict(hint, value)
+    if typing.get_origin(hint) is tuple:
+        inner = typing.get_args(hint)[0]
+        return tuple(_restore(inner, item) for item in value)
+    return value
