@@ -1,0 +1,158 @@
+"""Lane boundaries and road edges of a lane network, as polylines."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import LineString, MultiLineString, Polygon
+from shapely.geometry.base import BaseGeometry
+
+from phase_sumo.bridge.alignment import arc_length, resample
+from phase_sumo.sim.lanes import Lane, LaneNetwork
+from phase_sumo.sim.road_build import RoadLine
+from phase_sumo.sim.road_map import RoadKind
+
+FloatArray = NDArray[np.float64]
+TAPER = 40.0  # m over which the border closes after a lane's end or opens before its start
+CLOSE_GAP = 0.3  # m: gaps up to twice this between lanes belong to the road
+TOLERANCE = 0.05  # m of simplification
+SHORTEST_EDGE = 0.5  # m: shorter pieces of border are left-overs of cutting the open ends
+
+
+def road_lines(network: LaneNetwork) -> list[RoadLine]:
+    """Lane boundaries between lanes abreast and the border of the drivable surface."""
+    return lane_boundaries(network) + road_edges(network)
+
+
+def lane_boundaries(network: LaneNetwork) -> list[RoadLine]:
+    """One line per pair of lanes abreast: the left border of the right-hand one of the two.
+
+    The line may be crossed when a change is allowed in either direction.
+    """
+    crossed_from_left = {lane.right for lane in network.lanes if lane.right >= 0}
+    lines = []
+    for i, lane in enumerate(network.lanes):
+        if lane.left < 0 and not lane.solid_left:
+            continue
+        kind = (
+            RoadKind.LANE_BOUNDARY if lane.left >= 0 or i in crossed_from_left else RoadKind.SOLID_BOUNDARY
+        )
+        lines.append(RoadLine(kind, _simplified(offset(lane.points, 0.5 * lane.width))))
+    return lines
+
+
+def offset(points: FloatArray, left: float) -> FloatArray:
+    """The line moved ``left`` m to its left, points about 2 m apart."""
+    fine = resample(points, 2.0)
+    tangent = np.gradient(fine, axis=0)
+    tangent /= np.maximum(np.hypot(*tangent.T), 1e-9)[:, None]
+    return fine + left * np.stack((-tangent[:, 1], tangent[:, 0]), axis=-1)
+
+
+def road_edges(network: LaneNetwork) -> list[RoadLine]:
+    """Outlines of the union of all lanes, except where vehicles enter and leave the network."""
+    surface = drivable_surface(network)
+    rings = [
+        LineString(ring.coords)
+        for part in shapely.get_parts(surface)
+        for ring in (part.exterior, *part.interiors)
+    ]
+    openings = shapely.union_all(_openings(network))
+    lines = []
+    for ring in rings:
+        for piece in _merged(ring.difference(openings)):
+            line = piece.simplify(TOLERANCE)
+            if line.length > SHORTEST_EDGE:
+                lines.append(RoadLine(RoadKind.ROAD_EDGE, np.asarray(line.coords)))
+    return lines
+
+
+def drivable_surface(network: LaneNetwork) -> BaseGeometry:
+    """Union of all lanes and tapers; narrow gaps between them are closed."""
+    parts: list[BaseGeometry] = [
+        LineString(lane.points).buffer(0.5 * lane.width, cap_style="flat", join_style="mitre")
+        for lane in network.lanes
+    ]
+    parts += tapers(network)
+    grown = shapely.union_all(parts).buffer(CLOSE_GAP, join_style="mitre", mitre_limit=2.0)
+    return grown.buffer(-CLOSE_GAP, join_style="mitre", mitre_limit=2.0)
+
+
+def tapers(network: LaneNetwork) -> list[Polygon]:
+    """Wedges that close the border beyond lanes that end, or open it before lanes that begin, within the road."""
+    onward: dict[int, int] = {}
+    backward: dict[int, int] = {}
+    for a, b in network.successors:
+        onward.setdefault(a, b)
+        backward.setdefault(b, a)
+    result = []
+    for lane in network.lanes:
+        for dead, chain in ((lane.dead_end, onward), (lane.dead_start, backward)):
+            if dead and (side := _carrying_side(network, lane, chain)):
+                result.append(_taper(network, lane, side, chain, at_end=chain is onward))
+    return [polygon for polygon in result if polygon.is_valid and polygon.area > 0]
+
+
+def _carrying_side(network: LaneNetwork, lane: Lane, chain: dict[int, int]) -> int:
+    """+1 where the lane to the left goes on, -1 where the right one does, else 0."""
+    for side, other in ((1, lane.left), (-1, lane.right)):
+        if other >= 0 and other in chain:
+            return side
+    return 0
+
+
+def _taper(network: LaneNetwork, lane: Lane, side: int, chain: dict[int, int], at_end: bool) -> Polygon:
+    """A wedge along the lane that goes on, from the dead lane's width down to nothing."""
+    at = lane.left if side > 0 else lane.right
+    carrier = network.lanes[at]
+    # start a little inside the dead lane so that the union has no slit
+    pieces = [carrier.points[-2:] if at_end else carrier.points[:2][::-1]]
+    while sum(arc_length(p)[-1] for p in pieces[1:]) < TAPER and at in chain:
+        at = chain[at]
+        points = network.lanes[at].points
+        pieces.append(points if at_end else points[::-1])
+    line = resample(np.concatenate([pieces[0][-1:], *pieces[1:]]), 2.0)
+    s = arc_length(line)
+    line, s = line[s <= TAPER], s[s <= TAPER]
+    if len(line) < 2:
+        return Polygon()
+    tangent = np.gradient(line, axis=0)
+    tangent /= np.maximum(np.hypot(*tangent.T), 1e-9)[:, None]
+    # the dead lane lies on the other side of the carrier; backwards lines see it mirrored
+    turn = -side if at_end else side
+    normal = turn * np.stack((-tangent[:, 1], tangent[:, 0]), axis=-1)
+    inner = line + (0.5 * carrier.width - 0.2) * normal
+    outer = line + (0.5 * carrier.width + lane.width * (1 - s / s[-1]))[:, None] * normal
+    return Polygon(np.concatenate((inner, outer[::-1])))
+
+
+def _openings(network: LaneNetwork) -> list[Polygon]:
+    """Boxes over the lane ends where vehicles enter or leave the network."""
+    has_next = {a for a, _ in network.successors}
+    has_previous = {b for _, b in network.successors}
+    boxes = []
+    for i, lane in enumerate(network.lanes):
+        if i not in has_next and not lane.dead_end:
+            boxes.append(_box(lane.points[-1], lane.points[-1] - lane.points[-2], lane.width))
+        if i not in has_previous and not lane.dead_start:
+            boxes.append(_box(lane.points[0], lane.points[0] - lane.points[1], lane.width))
+    return boxes
+
+
+def _box(at: FloatArray, outward: FloatArray, width: float) -> Polygon:
+    """0.5 m into the road, 1 m out of it, a little wider than the lane."""
+    along = outward / np.hypot(*outward)
+    across = (0.5 * width + 0.1) * np.array([-along[1], along[0]])
+    near, far = at - 0.5 * along, at + 1.0 * along
+    return Polygon([near - across, near + across, far + across, far - across])
+
+
+def _merged(geometry: BaseGeometry) -> list[LineString]:
+    lines = [g for g in shapely.get_parts(geometry) if isinstance(g, LineString) and g.length > 0]
+    merged = shapely.line_merge(MultiLineString(lines))
+    return [g for g in shapely.get_parts(merged) if isinstance(g, LineString)]
+
+
+def _simplified(points: FloatArray) -> FloatArray:
+    return np.asarray(LineString(points).simplify(TOLERANCE).coords)

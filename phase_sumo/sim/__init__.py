@@ -1,0 +1,1 @@
+"""Pure-torch world model: vehicles, road map, observation, events, reward, scenarios, environment."""

@@ -1,0 +1,71 @@
+"""A road network as plain lanes: what any map format is read into before it becomes tensors.
+
+The bridge fills these from SUMO networks; tests and toy roads fill them by hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Lane:
+    """One drivable lane (or one junction connector), centre line in driving direction.
+
+    Attributes:
+        id: SUMO lane id, e.g. ``"main_2"``; connectors keep the id of their first internal lane.
+        edge: id of the edge (the connector's junction edge for connectors).
+        points: [P, 2] centre line in m, no duplicate points, P >= 2.
+        width: lane width in m.
+        speed_limit: m/s.
+        length: SUMO's length in m; may differ from the geometric length of ``points``.
+        left, right: index into `LaneNetwork.lanes` of the lane abreast on that side *of the driver* to
+            which a change is permitted, or -1.
+        solid_left, solid_right: a lane of the same edge lies there but may not be changed into.
+        allows_car, allows_truck: permissions by vehicle class.
+        connector: True for a lane inside a junction.
+        dead_start, dead_end: the lane begins or ends within the road (acceleration lane, lane drop), so a
+            road edge closes it; a lane that merely has no predecessor or successor is open there.
+        parts: (internal lane id, lane position where it starts in m) of a connector's chain.
+    """
+
+    id: str
+    edge: str
+    points: FloatArray
+    width: float
+    speed_limit: float
+    length: float
+    left: int = -1
+    right: int = -1
+    solid_left: bool = False
+    solid_right: bool = False
+    allows_car: bool = True
+    allows_truck: bool = True
+    connector: bool = False
+    dead_start: bool = False
+    dead_end: bool = False
+    parts: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class LaneNetwork:
+    """All drivable lanes of a network and how they follow each other.
+
+    Attributes:
+        name: shown in pictures and messages.
+        lanes: see `Lane`.
+        successors: (from, to) index pairs: the end of one lane is the start of the other.
+        left_hand: traffic drives on the left.
+        warnings: what was left out or repaired while reading.
+    """
+
+    name: str
+    lanes: tuple[Lane, ...]
+    successors: tuple[tuple[int, int], ...]
+    left_hand: bool = False
+    warnings: tuple[str, ...] = ()
