@@ -1,0 +1,90 @@
+"""Bicycle model driven by jerk and steering rate, with the hitch angle of a trailer."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from phase_sumo.config import ActionConfig, SimConfig
+from phase_sumo.sim.vehicles import VehicleShape, VehicleState
+
+
+@lru_cache(maxsize=16)
+def _lattice(actions: ActionConfig, device: torch.device) -> tuple[Tensor, Tensor]:
+    return (
+        torch.tensor(actions.jerk, device=device),
+        torch.tensor(actions.steering_rate, device=device),
+    )
+
+
+def command(action: Tensor, alpha: Tensor, actions: ActionConfig) -> tuple[Tensor, Tensor]:
+    """Continuous command of a discrete action (paper: Action Space).
+
+    The token counts row-major over (jerk, steering rate); the longitudinal part is scaled by alpha:
+    j = alpha * J[a // n], d(steer)/dt = R[a % n].
+
+    Args:
+        action: [W, N] int64 tokens.
+        alpha: [W, N] longitudinal action range.
+
+    Returns:
+        jerk in m/s^3 and steering rate in rad/s, both [W, N].
+    """
+    jerks, rates = _lattice(actions, action.device)
+    columns = rates.shape[0]
+    return alpha * jerks[torch.div(action, columns, rounding_mode="floor")], rates[action % columns]
+
+
+def steer_limit(shape: VehicleShape, speed: Tensor, config: SimConfig) -> Tensor:
+    """Largest steering angle in rad at a speed: the wheel's stop, or the grip, v^2 tan(d) / L <= a_lat."""
+    grip = torch.where(shape.truck, config.truck_lateral_accel, config.lateral_accel)
+    return torch.atan(grip * shape.wheelbase / speed.square().clamp_min(0.1)).clamp_max(config.max_steer)
+
+
+def advance(
+    shape: VehicleShape, state: VehicleState, jerk: Tensor, steering_rate: Tensor, config: SimConfig
+) -> VehicleState:
+    """One step of the kinematic bicycle with a trailer (paper: Kinematic Model, Eq. hitch_angle_update).
+
+    Semi-implicit Euler: v' = v + a' dt and x' = x + v' dt, so that the speed and acceleration that SUMO
+    derives from positions equal the model's. The yaw at mid-step makes the path second order. With
+    l the trailer base, yaw_rate = v' tan(d') / wheelbase and
+
+        hitch' = clip(hitch + (yaw_rate - v' / l sin hitch) dt, -pi/2, pi/2).
+
+    Args:
+        jerk: [W, N] m/s^3, already scaled by alpha.
+        steering_rate: [W, N] rad/s.
+
+    Returns:
+        A new state; the inputs are left alone.
+    """
+    dt = config.dt
+    low = torch.where(shape.truck, config.truck_accel_bounds[0], config.accel_bounds[0])
+    high = torch.where(shape.truck, config.truck_accel_bounds[1], config.accel_bounds[1])
+    wanted = torch.minimum(torch.maximum(state.accel + jerk * dt, low), high)
+    free = state.speed + wanted * dt
+    speed = free.clamp(0.0, config.max_speed)
+    # what the clamps on speed leave of it: a standing vehicle does not store up deceleration
+    accel = torch.where(speed == free, wanted, (speed - state.speed) / dt)
+    limit = steer_limit(shape, speed, config)
+    steer = torch.minimum(torch.maximum(state.steer + steering_rate * dt, -limit), limit)
+    yaw_rate = speed * torch.tan(steer) / shape.wheelbase
+    middle = state.yaw + 0.5 * yaw_rate * dt
+    base = torch.where(shape.articulated, shape.trailer_base, 1.0)
+    hitch = state.hitch + (yaw_rate - speed / base * torch.sin(state.hitch)) * dt
+    hitch = torch.where(shape.articulated, hitch.clamp(-math.pi / 2, math.pi / 2), 0.0)
+    return VehicleState(
+        x=state.x + speed * torch.cos(middle) * dt,
+        y=state.y + speed * torch.sin(middle) * dt,
+        yaw=state.yaw + yaw_rate * dt,
+        speed=speed,
+        accel=accel,
+        steer=steer,
+        hitch=hitch,
+        accel_history=torch.cat((state.accel.unsqueeze(-1), state.accel_history[..., :-1]), -1),
+        steer_history=torch.cat((state.steer.unsqueeze(-1), state.steer_history[..., :-1]), -1),
+    )

@@ -1,0 +1,285 @@
+"""Online generator: samples agents, geometry, kinematics and start-goal pairs for worlds that reset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from phase_sumo.config import Regime, ScenarioConfig, SimConfig
+from phase_sumo.errors import PhaseError
+from phase_sumo.sim.geometry import boxes_overlap
+from phase_sumo.sim.lane_graph import LaneGraph
+from phase_sumo.sim.pool import StartGoalPool
+from phase_sumo.sim.vehicles import HISTORY, Task, VehicleShape, VehicleState, boxes
+
+PLACEMENT_ROUNDS = 8  # proposals for a slot before it stays empty
+LATERAL_SIGMA = 0.15  # m, spread of the start across the lane
+YAW_SIGMA = 0.01  # rad
+LONGEST_PATH = 400  # m, size of the count tables
+
+
+@dataclass
+class Scenario:
+    """Fresh agents for B worlds; axes B x N.
+
+    Attributes:
+        active: [B, N] bool, slots that hold an agent.
+    """
+
+    shape: VehicleShape
+    state: VehicleState
+    task: Task
+    active: Tensor
+
+
+class PairTable:
+    """The pools of many (map, regime) tuples as flat tensors, ready to be drawn from in one gather.
+
+    A list holds the pairs of one tuple, one kind (same lane or lane change) and one permission (any
+    vehicle, trucks), sorted by path length, so that "uniform among the pairs up to a length" is one
+    random number times one table entry.
+    """
+
+    def __init__(self, tuples: list[tuple[LaneGraph, StartGoalPool]], device: torch.device | str) -> None:
+        nodes, starts, goals, first, counts = [], [], [], [], []
+        node_offset = pair_offset = 0
+        for graph, pool in tuples:
+            nodes.append(
+                np.column_stack((graph.node_xy, graph.node_yaw, graph.node_curvature)).astype(np.float32)
+            )
+            for changes in (False, True):
+                for trucks in (False, True):
+                    chosen = np.flatnonzero(
+                        ((pool.lane_changes != 0) == changes) & (pool.truck | (not trucks))
+                    )
+                    chosen = chosen[np.argsort(pool.path_length[chosen], kind="stable")]
+                    lengths = np.ceil(pool.path_length[chosen]).astype(np.int64).clip(0, LONGEST_PATH)
+                    starts.append(pool.start[chosen] + node_offset)
+                    goals.append(pool.goal[chosen] + node_offset)
+                    first.append(pair_offset)
+                    counts.append(np.searchsorted(lengths, np.arange(LONGEST_PATH + 1), side="right"))
+                    pair_offset += len(chosen)
+            node_offset += len(graph.node_xy)
+        if pair_offset == 0:
+            raise PhaseError("the maps hold no start-goal pairs: convert longer networks")
+        self.node = torch.from_numpy(np.concatenate(nodes)).to(device)
+        self.start = torch.from_numpy(np.concatenate(starts)).long().to(device)
+        self.goal = torch.from_numpy(np.concatenate(goals)).long().to(device)
+        self.first = torch.tensor(first).view(-1, 2, 2).to(device)
+        self.count = torch.from_numpy(np.stack(counts)).view(-1, 2, 2, LONGEST_PATH + 1).to(device)
+
+    def draw(
+        self, tuple_index: Tensor, change: Tensor, truck: Tensor, longest: Tensor, uniform: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """One pair per slot.
+
+        Args:
+            tuple_index: [B, N] (map, regime) tuple.
+            change, truck: [B, N] bool, wanted kind and permission.
+            longest: [B, N] m, no longer path than this (the shortest there is, if none is that short).
+            uniform: [B, N] in [0, 1).
+
+        Returns:
+            index of the pair [B, N] and whether the tuple has any such pair [B, N] bool.
+        """
+        change, truck = change.long(), truck.long()
+        # where a map has no pairs of the wanted kind (one lane, say) the other kind serves
+        total = self.count[tuple_index, change, truck, LONGEST_PATH]
+        change = torch.where(total > 0, change, 1 - change)
+        total = self.count[tuple_index, change, truck, LONGEST_PATH]
+        limit = longest.long().clamp(0, LONGEST_PATH)
+        count = self.count[tuple_index, change, truck, limit].clamp_min(1)
+        pair = self.first[tuple_index, change, truck] + (uniform * count).long().clamp_max(count - 1)
+        return torch.where(total > 0, pair, 0), total > 0
+
+
+@dataclass(frozen=True)
+class RegimeTable:
+    """Per-tuple regime constants, each [tuples]; agent counts and P_lc before and after the switch."""
+
+    base_speed: Tensor
+    low: Tensor
+    high: Tensor
+    low_late: Tensor
+    high_late: Tensor
+    change: Tensor
+    change_late: Tensor
+
+    @staticmethod
+    def of(regimes: list[Regime], scale: float, slots: int, device: torch.device | str) -> RegimeTable:
+        def column(value) -> Tensor:
+            return torch.tensor([float(value(r)) for r in regimes], device=device)
+
+        def agents(value) -> Tensor:
+            return (column(value) * scale).round().clamp(1, slots)
+
+        return RegimeTable(
+            base_speed=column(lambda r: r.base_speed),
+            low=agents(lambda r: r.agents[0]),
+            high=agents(lambda r: r.agents[1]),
+            low_late=agents(lambda r: r.agents_late[0]),
+            high_late=agents(lambda r: r.agents_late[1]),
+            change=column(lambda r: r.lane_change_ratio),
+            change_late=column(lambda r: r.lane_change_ratio_late),
+        )
+
+
+def sample(
+    pairs: PairTable,
+    regimes: RegimeTable,
+    tuple_index: Tensor,
+    slots: int,
+    late: bool,
+    config: ScenarioConfig,
+    sim: SimConfig,
+    braking_jerk: float,
+    generator: torch.Generator,
+) -> Scenario:
+    """Fresh agents for the worlds of ``tuple_index`` [B] (paper: Synthetic Scenario Generation, online).
+
+    v_init = v_base (1 + eps_init), v_goal = v_init (1 + eps_goal), alpha ~ U; starts and goals from the
+    pool, subject to collision checking; a slot whose every proposal collides stays empty.
+
+    Args:
+        tuple_index: [B] (map, regime) tuple of each world.
+        slots: N.
+        late: after the curriculum switch.
+        braking_jerk: hardest braking of the action lattice in m/s^3, > 0.
+    """
+    device, worlds = tuple_index.device, tuple_index.shape[0]
+    size = (worlds, slots)
+
+    def uniform(low: float = 0.0, high: float = 1.0) -> Tensor:
+        return low + (high - low) * torch.rand(size, generator=generator, device=device)
+
+    low = (regimes.low_late if late else regimes.low)[tuple_index]
+    high = (regimes.high_late if late else regimes.high)[tuple_index]
+    change_ratio = (regimes.change_late if late else regimes.change)[tuple_index]
+    count = low + torch.floor((high - low + 1) * torch.rand(worlds, generator=generator, device=device))
+    wanted = torch.arange(slots, device=device) < count.unsqueeze(-1)
+
+    shape = sample_shape(size, config, generator, device)
+    base = regimes.base_speed[tuple_index].unsqueeze(-1)
+    spread = config.init_speed_spread
+    speed = (base * (1.0 + uniform(-spread, spread))).clamp(0.0, sim.max_speed)
+    goal_speed = (speed * (1.0 + uniform(*config.goal_speed_bounds))).clamp(0.0, sim.max_speed)
+    alpha = uniform(*config.alpha_bounds)
+    # a small alpha may never get faster than it began, so no more than that is counted on
+    longest = config.horizon_share * sim.horizon * sim.dt * 0.5 * (speed + torch.minimum(speed, goal_speed))
+
+    active = torch.zeros(size, dtype=torch.bool, device=device)
+    pair = torch.zeros(size, dtype=torch.long, device=device)
+    tuples = tuple_index.unsqueeze(-1).expand(size)
+    state = _state_at(pairs, pair, shape, speed, uniform, generator)
+    for _ in range(PLACEMENT_ROUNDS):
+        change = uniform() < change_ratio.unsqueeze(-1)
+        proposal, exists = pairs.draw(tuples, change, shape.truck, longest, uniform())
+        proposed = _state_at(pairs, proposal, shape, speed, uniform, generator)
+        trial = proposed.where(~active, state)
+        accepted = (
+            wanted
+            & exists
+            & ~active
+            & ~_conflicts(shape, trial, (alpha, braking_jerk), active, wanted, config)
+        )
+        pair = torch.where(accepted, proposal, pair)
+        state = proposed.where(accepted, state)
+        active = active | accepted
+        if bool((active == wanted).all()):
+            break
+    goal = pairs.node[pairs.goal[pair]]
+    task = Task(goal[..., 0], goal[..., 1], goal[..., 2], goal_speed, alpha)
+    return Scenario(shape, state, task, active)
+
+
+def _state_at(
+    pairs: PairTable, pair: Tensor, shape: VehicleShape, speed: Tensor, uniform, generator: torch.Generator
+) -> VehicleState:
+    """Vehicles settled on the lane at the start of their pair: steering and hitch follow its curvature."""
+    x, y, yaw, curvature = pairs.node[pairs.start[pair]].unbind(-1)
+    device = x.device
+    aside = LATERAL_SIGMA * torch.randn(x.shape, generator=generator, device=device)
+    yaw_error = YAW_SIGMA * torch.randn(x.shape, generator=generator, device=device)
+    steer = torch.atan(shape.wheelbase * curvature)
+    history = (*x.shape, HISTORY)
+    return VehicleState(
+        x=x - aside * torch.sin(yaw),
+        y=y + aside * torch.cos(yaw),
+        yaw=yaw + yaw_error,
+        speed=speed,
+        accel=torch.zeros_like(x),
+        steer=steer,
+        hitch=torch.asin((shape.trailer_base * curvature).clamp(-0.9, 0.9)),
+        accel_history=torch.zeros(history, device=device),
+        steer_history=steer.unsqueeze(-1).expand(history).clone(),
+    )
+
+
+def _conflicts(
+    shape: VehicleShape,
+    trial: VehicleState,
+    range_and_jerk: tuple[Tensor, float],
+    active: Tensor,
+    wanted: Tensor,
+    config: ScenarioConfig,
+) -> Tensor:
+    """Slots whose trial position is too close to a placed agent or to an earlier proposal.
+
+    Each vehicle claims its boxes and the road ahead of it: a gap, a time headway, and the distance that
+    it closes on a slower one while it brakes, so that no collision is unavoidable from the start. With
+    jerk -J alpha the speed difference D is gone after t = sqrt(2 D / (J alpha)), and 2/3 D t is closed.
+
+    Args:
+        range_and_jerk: alpha [B, N] and the hardest braking jerk J in m/s^3.
+    """
+    box = boxes(shape, trial)
+    alpha, braking_jerk = range_and_jerk
+    faster = (trial.speed.unsqueeze(2) - trial.speed.unsqueeze(1)).clamp_min(0.0)
+    closing = faster * torch.sqrt(2.0 * faster / (braking_jerk * alpha).unsqueeze(2)) * (2.0 / 3.0)
+    ahead = config.spawn_gap + config.spawn_time_headway * trial.speed.unsqueeze(2) + closing
+    claim = box[:, :, :, None].expand(-1, -1, -1, ahead.shape[2], -1).clone()
+    claim[0, ..., 0] += 0.5 * ahead * claim[2, ..., 0]
+    claim[1, ..., 0] += 0.5 * ahead * claim[3, ..., 0]
+    claim[4, ..., 0] += 0.5 * ahead
+    touch = boxes_overlap(claim.unsqueeze(-1), box[:, :, None, :, None, :]).flatten(-2).any(-1)
+    touch = touch | touch.transpose(1, 2)
+    slots = active.shape[1]
+    earlier = torch.ones(slots, slots, dtype=torch.bool, device=active.device).tril(-1)
+    against = active.unsqueeze(1) | (earlier & wanted.unsqueeze(1))
+    against = against & ~torch.eye(slots, dtype=torch.bool, device=active.device)
+    return (touch & against).any(-1)
+
+
+def sample_shape(
+    size: tuple[int, ...], config: ScenarioConfig, generator: torch.Generator, device: torch.device | str
+) -> VehicleShape:
+    """Vehicle geometry: cars, rigid trucks and tractor-trailers with US dimensions (see PAPER.md)."""
+
+    def uniform(low: float, high: float) -> Tensor:
+        return low + (high - low) * torch.rand(size, generator=generator, device=device)
+
+    def normal(mean: float, sigma: float, low: float, high: float) -> Tensor:
+        return (mean + sigma * torch.randn(size, generator=generator, device=device)).clamp(low, high)
+
+    truck = uniform(0.0, 1.0) < config.truck_ratio
+    articulated = truck & (uniform(0.0, 1.0) >= config.rigid_truck_ratio)
+    rigid = truck & ~articulated
+    length = torch.where(
+        articulated, uniform(6.0, 8.0), torch.where(rigid, uniform(7.0, 12.0), normal(4.9, 0.4, 3.8, 6.0))
+    )
+    width = torch.where(truck, uniform(2.45, 2.6), normal(1.9, 0.1, 1.65, 2.15))
+    trailer_length = torch.where(articulated, uniform(12.0, 16.2), 0.0)
+    return VehicleShape(
+        length=length,
+        width=width,
+        wheelbase=length * torch.where(articulated, 0.75, torch.where(rigid, 0.55, 0.6)),
+        rear_overhang=length * torch.where(articulated, 0.1, torch.where(rigid, 0.27, 0.2)),
+        trailer_length=trailer_length,
+        trailer_width=torch.where(articulated, uniform(2.5, 2.6), 0.0),
+        trailer_base=0.8 * trailer_length,
+        trailer_setback=torch.where(articulated, 0.9, 0.0),
+        truck=truck,
+    )
