@@ -1,0 +1,104 @@
+"""Goal, collision and road-edge rates of a policy in generated worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from phase_sumo.config import RewardConfig, ScenarioConfig
+from phase_sumo.policy.checkpoint import Policy
+from phase_sumo.sim.bundle import MapBundle
+from phase_sumo.sim.environment import Environment, Transition
+
+RATES = ("goal_rate", "agent_collision_rate", "at_fault_rate", "road_collision_rate", "success_rate")
+
+
+def evaluate_synthetic(
+    policy: Policy,
+    maps: list[MapBundle],
+    scenarios: ScenarioConfig,
+    worlds: int,
+    slots: int,
+    episodes: int = 1,
+    seed: int = 0,
+    greedy: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """Roll out whole episodes and count what became of every agent.
+
+    Success is the paper's SR: the goal reached without causing a collision. Every agent of every world
+    counts once, so short failures weigh no more than long successes.
+
+    Returns:
+        JSON types: ``scenarios``, ``agents``, `RATES` (shares of the agents), and the same per traffic
+        regime and per vehicle type under ``by_regime`` and ``by_type``.
+    """
+    tallies: dict[str, Tensor] = {}
+    for episode in range(episodes):
+        env = Environment(
+            maps,
+            worlds,
+            slots,
+            policy.sim,
+            scenarios,
+            RewardConfig(),
+            policy.actions,
+            seed=seed + episode,
+            training=False,
+        )
+        generator = None if greedy else torch.Generator().manual_seed(seed + episode)
+        for t in range(policy.sim.horizon):
+            first = env.clock == t  # worlds still in the scenario they began with
+            if not first.any():
+                break
+            shape, action = env.shape, torch.zeros(env.active.shape, dtype=torch.long)
+            action[env.active] = policy.act(env.observation, generator)
+            step = env.step(action)
+            for name, group in _groups(env, shape.truck, shape.articulated).items():
+                counted = step.finished & first.unsqueeze(-1) & group
+                tallies[name] = tallies.get(name, torch.zeros(6)) + _tally(step, counted)
+            if progress is not None:
+                progress((episode + (t + 1) / policy.sim.horizon) / episodes)
+    result: dict[str, Any] = {"scenarios": worlds * episodes, **_rates(tallies["all"])}
+    for family in ("by_regime", "by_type"):
+        prefix = family + ":"
+        result[family] = {
+            n.removeprefix(prefix): _rates(t) for n, t in tallies.items() if n.startswith(prefix)
+        }
+    return result
+
+
+def _groups(env: Environment, truck: Tensor, articulated: Tensor) -> dict[str, Tensor]:
+    groups = {
+        "all": torch.ones_like(truck),
+        "by_type:car": ~truck,
+        "by_type:rigid_truck": truck & ~articulated,
+        "by_type:articulated_truck": articulated,
+    }
+    for index, regime in enumerate(env.scenarios.regimes):
+        groups[f"by_regime:{regime.name}"] = (env.regime_index == index).unsqueeze(-1).expand_as(truck)
+    return groups
+
+
+def _tally(step: Transition, counted: Tensor) -> Tensor:
+    outcome = step.outcome
+    columns = (
+        torch.ones_like(counted),
+        outcome.goal,
+        outcome.collision,
+        outcome.at_fault,
+        outcome.road_edge,
+        outcome.goal & ~outcome.at_fault,
+    )
+    return torch.stack([(column & counted).sum() for column in columns]).float()
+
+
+def _rates(tally: Tensor) -> dict[str, Any]:
+    agents = int(tally[0])
+    return {
+        "agents": agents,
+        **{n: float(v) / max(agents, 1) for n, v in zip(RATES, tally[1:].tolist(), strict=True)},
+    }

@@ -1,0 +1,1 @@
+"""Self-play training: rollouts, DClamp-PPO, the loop with its checkpoints and curves."""

@@ -1,0 +1,184 @@
+"""The training loop: rollout, learn, log, evaluate, checkpoint."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import torch
+
+import phase_sumo
+from phase_sumo.config import TrainConfig
+from phase_sumo.errors import PhaseError
+from phase_sumo.evaluate.synthetic import RATES, evaluate_synthetic
+from phase_sumo.policy.checkpoint import Policy, save_policy
+from phase_sumo.policy.network import PolicyNetwork
+from phase_sumo.sim.bundle import MapBundle
+from phase_sumo.sim.curriculum import curriculum_progress
+from phase_sumo.sim.environment import Environment
+from phase_sumo.train.ppo import ValueScale, filter_samples, learn, make_samples
+from phase_sumo.train.rollout import collect
+from phase_sumo.train.run_folder import RunFolder
+
+HELD_OUT_WORLDS = 48
+
+
+class Trainer:
+    """Self-play training of one policy.
+
+    Args:
+        maps: to train on; ``held_out``: never trained on, evaluated now and then (may be empty).
+        folder: where everything is kept.
+        resume: continue the run in ``folder``, exactly where its checkpoint was written.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        maps: list[MapBundle],
+        held_out: list[MapBundle],
+        folder: RunFolder,
+        resume: bool = False,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.config, self.held_out, self.folder = config, held_out, folder
+        self.names = [m.name for m in maps]
+        torch.manual_seed(config.seed)
+        self.network = PolicyNetwork(config.network, config.actions).to(device)
+        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, eps=1e-5)
+        self.generator = torch.Generator(device=device).manual_seed(config.seed + 1)
+        self.env = Environment(
+            maps,
+            config.worlds,
+            config.slots,
+            config.sim,
+            config.scenarios,
+            config.reward,
+            config.actions,
+            seed=config.seed,
+            device=device,
+        )
+        self.scale = ValueScale()
+        self.steps, self.wall = 0, 0.0
+        self.rows: list[dict[str, float]] = []
+        if resume:
+            self._restore(folder.load())
+        else:
+            facts = {"phase_sumo": phase_sumo.__version__, "torch": torch.__version__, "networks": self.names}
+            folder.start(config, facts)
+
+    def run(
+        self,
+        report: Callable[[dict[str, float]], None] | None = None,
+        stopping: Callable[[], bool] = lambda: False,
+    ) -> Policy:
+        """Train until ``total_steps`` agent steps or ``stopping()``; a checkpoint is left either way."""
+        saved = self.steps
+        while self.steps < self.config.total_steps and not stopping():
+            began = time.perf_counter()
+            row = self._update()
+            self.wall += time.perf_counter() - began
+            row = {"steps": self.steps, "wall_seconds": self.wall, **row}
+            if self._held_out_due(int(row["agent_steps"])):
+                row |= self._evaluate()
+            self.rows.append(row)
+            if report is not None:
+                report(row)
+            if self.steps - saved >= self.config.checkpoint_every:
+                self.save()
+                saved = self.steps
+        self.save()
+        return self.policy()
+
+    def policy(self) -> Policy:
+        """The policy as it is now."""
+        config = self.config
+        info = {
+            "version": phase_sumo.__version__,
+            "agent_steps": self.steps,
+            "networks": self.names,
+            "seed": config.seed,
+        }
+        # held apart from the weights in training
+        network = PolicyNetwork(config.network, config.actions)
+        network.load_state_dict(self.network.state_dict())
+        return Policy(network.eval(), config.sim, config.actions, config.network, info)
+
+    def save(self) -> None:
+        """Write checkpoint, curve and policy."""
+        checkpoint = {
+            "network": self.network.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "env": self.env.state_dict(),
+            "generator": self.generator.get_state(),
+            "scale": vars(self.scale),
+            "steps": self.steps,
+            "wall": self.wall,
+            "rows": self.rows,
+        }
+        self.folder.save(checkpoint, self.rows)
+        save_policy(self.folder.policy, self.policy())
+
+    def _restore(self, stored: dict[str, Any]) -> None:
+        self.network.load_state_dict(stored["network"])
+        self.optimiser.load_state_dict(stored["optimiser"])
+        self.env.load_state_dict(stored["env"])
+        self.generator.set_state(stored["generator"])
+        vars(self.scale).update(stored["scale"])
+        self.steps, self.wall, self.rows = stored["steps"], stored["wall"], stored["rows"]
+
+    def _update(self) -> dict[str, float]:
+        """One rollout and one epoch of learning; returns the row of the curve."""
+        config = self.config
+        rho = curriculum_progress(self.steps, config.total_steps, *config.curriculum)
+        self.env.rho = rho
+        for group in self.optimiser.param_groups:
+            share = min(self.steps / max(config.total_steps, 1), 1.0)
+            group["lr"] = config.learning_rate * (1.0 - 0.9 * share)
+        start = time.process_time()
+        rollout = collect(
+            self.env,
+            self.network.eval(),
+            config.rollout,
+            config.gamma,
+            self.scale.get(),
+            self.generator,
+            config.bf16,
+        )
+        collected = time.process_time()
+        samples = make_samples(rollout, config, self.scale)
+        kept = filter_samples(samples, config.learn_share)
+        losses = learn(self.network.train(), self.optimiser, kept, config, self.generator)
+        if not all(math.isfinite(value) for value in losses.values()):
+            raise PhaseError(
+                f"training diverged at {self.steps} agent steps ({losses}); the last checkpoint is intact: "
+                "lower learning_rate and continue with --resume"
+            )
+        self.steps += rollout.counts.steps
+        return {
+            "agent_steps": rollout.counts.steps,
+            "rho": rho,
+            **rollout.counts.rates(),
+            "finished": rollout.counts.finished,
+            "rollout_cpu_us": 1e6 * (collected - start) / max(rollout.counts.steps, 1),
+            "learn_cpu_us": 1e6 * (time.process_time() - collected) / max(rollout.counts.steps, 1),
+            **losses,
+            **{f"reward_{name}": value for name, value in rollout.counts.terms.items()},
+        }
+
+    def _held_out_due(self, latest: int) -> bool:
+        every = self.config.held_out_every
+        return bool(self.held_out) and (self.steps // every > (self.steps - latest) // every)
+
+    def _evaluate(self) -> dict[str, float]:
+        result = evaluate_synthetic(
+            self.policy(),
+            self.held_out,
+            self.config.scenarios,
+            HELD_OUT_WORLDS,
+            self.config.slots,
+            seed=10_000 + self.config.seed,
+        )
+        return {f"held_out_{name}": result[name] for name in RATES}

@@ -1,0 +1,189 @@
+"""DClamp-PPO with inverse-agent-count weights and a Gaussian action prior (paper: Training)."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from phase_sumo.config import TrainConfig
+from phase_sumo.policy.network import PolicyNetwork
+from phase_sumo.train.rollout import Rollout, Samples, evaluate
+
+
+def gae(
+    reward: Tensor,
+    value: Tensor,
+    last_value: Tensor,
+    finished: Tensor,
+    active: Tensor,
+    gamma: float,
+    lam: float,
+) -> Tensor:
+    """Generalised advantage estimation over [T, W, N] slots that agents leave and enter.
+
+    delta_t = r_t + gamma V_{t+1} (1 - finished_t) - V_t and A_t = delta_t + gamma lam (1 - finished_t)
+    A_{t+1}. Time-outs carry their bootstrap in the reward, so finished covers both kinds of ending.
+
+    Args:
+        last_value: [W, N] value after the last step.
+
+    Returns:
+        [T, W, N], 0 where not active.
+    """
+    advantage = torch.zeros_like(reward)
+    running, following = torch.zeros_like(last_value), last_value
+    for t in range(reward.shape[0] - 1, -1, -1):
+        alive = (active[t] & ~finished[t]).float()
+        delta = reward[t] + gamma * following * alive - value[t]
+        running = torch.where(active[t], delta + gamma * lam * alive * running, 0.0)
+        advantage[t] = running
+        following = value[t]
+    return advantage
+
+
+def world_weights(active: Tensor) -> Tensor:
+    """1 / N_w for every sample (Eq. sample_reweighting), scaled to mean 1 over the samples.
+
+    N_w is the number of agent steps of world w in the rollout, so each world counts alike.
+
+    Args:
+        active: [T, W, N] bool.
+
+    Returns:
+        [T, W, N], 0 where not active.
+    """
+    per_world = active.sum((0, 2), keepdim=True).clamp_min(1)
+    weight = active / per_world
+    return weight * (active.sum() / weight.sum().clamp_min(1e-12))
+
+
+def dclamp_objective(ratio: Tensor, advantage: Tensor, clip: float, alpha: float, beta: float) -> Tensor:
+    """DClamp-PPO's surrogate, to be maximised (arXiv 2511.02577).
+
+    J = min(w A, clip(w, 1 - eps, 1 + eps) A, f(w) A) with f(w) = alpha w - (alpha - 1)(1 - beta) for
+    A > 0 and alpha w - (alpha - 1)(1 + beta) for A < 0: slope alpha A where the update went the wrong
+    way by more than beta, plain PPO elsewhere; alpha = 1 is PPO.
+    """
+    edge = torch.where(advantage > 0, 1.0 - beta, 1.0 + beta)
+    steep = alpha * ratio - (alpha - 1.0) * edge
+    clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
+    return torch.minimum(torch.minimum(ratio * advantage, clipped * advantage), steep * advantage)
+
+
+def prior_kl(log_probs: Tensor, log_prior: Tensor) -> Tensor:
+    """D_KL(pi || prior) of each row, [S] (Eq. kl_action_reg; the loss adds it, pulling to the prior)."""
+    return (log_probs.exp() * (log_probs - log_prior)).sum(-1)
+
+
+class ValueScale:
+    """Running mean and standard deviation of the returns, for a value head of unit size."""
+
+    def __init__(self) -> None:
+        self.mean, self.square, self.weight = 0.0, 0.0, 0.0
+
+    def update(self, returns: Tensor, decay: float = 0.98) -> None:
+        self.mean = decay * self.mean + (1 - decay) * float(returns.mean())
+        self.square = decay * self.square + (1 - decay) * float(returns.square().mean())
+        self.weight = decay * self.weight + (1 - decay)
+
+    def get(self) -> tuple[float, float]:
+        if self.weight == 0.0:
+            return 0.0, 1.0
+        mean = self.mean / self.weight
+        return mean, max(self.square / self.weight - mean**2, 1e-6) ** 0.5
+
+
+def make_samples(rollout: Rollout, config: TrainConfig, scale: ValueScale) -> Samples:
+    """Advantages, value targets and weights of a rollout as flat samples.
+
+    Advantages are normalised over all active samples with the loss weights, before any filtering.
+    """
+    advantage = gae(
+        rollout.reward,
+        rollout.value,
+        rollout.last_value,
+        rollout.finished,
+        rollout.active,
+        config.gamma,
+        config.gae_lambda,
+    )
+    active = rollout.active
+    returns = (advantage + rollout.value)[active]
+    scale.update(returns)
+    mean, std = scale.get()
+    weight = world_weights(active)[active] if config.reweight else torch.ones_like(returns)
+    flat = advantage[active]
+    centre = (weight * flat).mean()
+    spread = (weight * (flat - centre).square()).mean().sqrt()
+    first = rollout.observations[0]
+    return Samples(
+        observation=type(first)(
+            *(
+                torch.cat(parts)
+                for parts in zip(*(vars(o).values() for o in rollout.observations), strict=True)
+            )
+        ),
+        action=torch.cat(rollout.actions),
+        log_prob=torch.cat(rollout.log_probs),
+        advantage=(flat - centre) / (spread + 1e-8),
+        value_target=(returns - mean) / std,
+        weight=weight,
+    )
+
+
+def filter_samples(samples: Samples, share: float) -> Samples:
+    """Keep the ``share`` of the samples with the largest |A|: the others hardly move the policy.
+
+    Advantage filtering after GIGAFLOW; weights and advantage statistics are those of all samples.
+    """
+    if share >= 1.0:
+        return samples
+    count = max(1, round(share * len(samples)))
+    return samples.select(samples.advantage.abs().topk(count, sorted=False).indices)
+
+
+def learn(
+    network: PolicyNetwork,
+    optimiser: torch.optim.Optimizer,
+    samples: Samples,
+    config: TrainConfig,
+    generator: torch.Generator,
+) -> dict[str, float]:
+    """One epoch of minibatch updates; returns the means of the losses and diagnostics."""
+    order = torch.randperm(len(samples), generator=generator, device=samples.action.device)
+    stats: dict[str, list[float]] = {}
+    for index in order.split(config.minibatch):
+        if len(index) < config.minibatch // 4 and len(order) > config.minibatch:
+            continue  # a small remainder would make a noisy step
+        loss, parts = _loss(network, samples.select(index), config)
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        parts["gradient_norm"] = torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_norm)
+        optimiser.step()
+        for name, value in parts.items():
+            stats.setdefault(name, []).append(float(value.detach()))
+    return {name: sum(values) / len(values) for name, values in stats.items()}
+
+
+def _loss(network: PolicyNetwork, batch: Samples, config: TrainConfig) -> tuple[Tensor, dict[str, Tensor]]:
+    logits, value = evaluate(network, batch.observation, config.bf16)
+    log_probs = logits.log_softmax(-1)
+    log_prob = log_probs.gather(-1, batch.action.unsqueeze(-1)).squeeze(-1)
+    log_ratio = log_prob - batch.log_prob
+    ratio = log_ratio.exp()
+    objective = dclamp_objective(ratio, batch.advantage, config.clip, config.dclamp_alpha, config.dclamp_beta)
+    policy_loss = -(batch.weight * objective).mean()
+    value_loss = (batch.weight * F.huber_loss(value, batch.value_target, reduction="none", delta=10.0)).mean()
+    kl = prior_kl(log_probs, network.log_prior)
+    loss = policy_loss + config.value_weight * value_loss + config.prior_weight * kl.mean()
+    with torch.no_grad():
+        parts = {
+            "policy_loss": policy_loss,
+            "value_loss": value_loss,
+            "prior_kl": kl.mean(),
+            "entropy": -(log_probs.exp() * log_probs).sum(-1).mean(),
+            "approx_kl": ((ratio - 1.0) - log_ratio).mean(),
+            "clip_fraction": ((ratio - 1.0).abs() > config.clip).float().mean(),
+        }
+    return loss, parts

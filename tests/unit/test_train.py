@@ -1,0 +1,96 @@
+"""Run folder, resume and refusals of the training loop."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+
+import pytest
+import torch
+
+from phase_sumo.config import TrainConfig, from_dict, preset, to_dict
+from phase_sumo.errors import PhaseError
+from phase_sumo.policy.checkpoint import load_policy
+from phase_sumo.train.loop import Trainer
+from phase_sumo.train.run_folder import RunFolder
+
+TINY = dataclasses.replace(
+    preset("smoke"), worlds=8, slots=8, minibatch=128, total_steps=4000, checkpoint_every=700
+)
+
+
+def weights(trainer: Trainer) -> list[torch.Tensor]:
+    return [p.detach().clone() for p in trainer.network.parameters()]
+
+
+def test_a_run_leaves_config_curve_checkpoint_and_policy(straight_map, tmp_path):
+    config = dataclasses.replace(TINY, held_out_every=1000)
+    trainer = Trainer(config, [straight_map], [straight_map], RunFolder(tmp_path / "run"))
+    before = weights(trainer)
+    trainer.run()
+    assert trainer.steps >= config.total_steps
+    assert any(not torch.equal(a, b) for a, b in zip(before, weights(trainer), strict=True))
+    assert sorted(p.name for p in (tmp_path / "run").iterdir()) == [
+        "checkpoint.pt",
+        "config.json",
+        "curve.csv",
+        "policy.safetensors",
+    ]
+    with (tmp_path / "run" / "curve.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(r["steps"]) for r in rows] == sorted(float(r["steps"]) for r in rows)
+    assert sum(bool(r["held_out_goal_rate"]) for r in rows) == 4
+    assert load_policy(tmp_path / "run" / "policy.safetensors").info["agent_steps"] == trainer.steps
+    assert (tmp_path / "run" / "checkpoint.pt").stat().st_size < 16e6
+
+
+def test_a_stopped_run_continues_bit_for_bit(straight_map, tmp_path):
+    whole = Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "whole"))
+    whole.run()
+    first = Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "parts"))
+    updates: list[dict[str, float]] = []
+    first.run(updates.append, stopping=lambda: len(updates) == 2)
+    assert first.steps < TINY.total_steps
+    second = Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "parts"), resume=True)
+    second.run()
+    assert second.steps == whole.steps
+    for a, b in zip(weights(whole), weights(second), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_an_existing_run_is_not_overwritten(straight_map, tmp_path):
+    config = dataclasses.replace(TINY, total_steps=1)
+    Trainer(config, [straight_map], [], RunFolder(tmp_path)).run()
+    with pytest.raises(PhaseError, match="--resume"):
+        Trainer(config, [straight_map], [], RunFolder(tmp_path))
+
+
+def test_resume_needs_a_run(straight_map, tmp_path):
+    with pytest.raises(PhaseError, match="without --resume"):
+        Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "nothing"), resume=True)
+
+
+def test_divergence_stops_with_the_last_checkpoint_intact(straight_map, tmp_path):
+    trainer = Trainer(TINY, [straight_map], [], RunFolder(tmp_path))
+    trainer.save()
+    with torch.no_grad():
+        trainer.network.value[-1].bias.fill_(float("nan"))  # type: ignore[union-attr]
+    with pytest.raises(PhaseError, match="diverged"):
+        trainer.run()
+    assert all(t.isfinite().all() for t in RunFolder(tmp_path).load()["network"].values())
+
+
+def test_presets_differ_in_what_they_ablate():
+    phase = preset("phase")
+    assert preset("no-dclamp") == dataclasses.replace(phase, dclamp_alpha=1.0)
+    assert preset("no-reweighting") == dataclasses.replace(phase, reweight=False)
+    with pytest.raises(PhaseError, match="no preset 'fast'"):
+        preset("fast")
+
+
+def test_config_round_trip_and_unknown_keys():
+    config = preset("smoke")
+    assert from_dict(TrainConfig, json.loads(json.dumps(to_dict(config)))) == config
+    with pytest.raises(PhaseError, match="no setting 'speed'"):
+        from_dict(TrainConfig, {"speed": 1})
