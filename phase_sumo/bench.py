@@ -1,0 +1,140 @@
+"""Throughput of each part: CPU time per unit of work, so that other load on the machine matters little."""
+
+from __future__ import annotations
+
+import platform
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from phase_sumo.config import TrainConfig
+from phase_sumo.policy.checkpoint import load_policy
+from phase_sumo.sim.bundle import MapBundle
+from phase_sumo.sim.environment import Environment
+
+Progress = Callable[[float, str], None]
+WARM_UP = 10  # steps
+
+
+def machine() -> dict[str, Any]:
+    """What the figures were measured on."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [
+            line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if "model name" in line
+        ]
+        model = names[0] if names else model
+    return {
+        "processor": model,
+        "threads": torch.get_num_threads(),
+        "torch": torch.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def bench_sim(
+    maps: list[MapBundle], worlds: int, slots: int, steps: int, seed: int, progress: Progress
+) -> dict:
+    """Environment steps alone (kinematics, events, reward, resets, observation) under realistic driving.
+
+    The shipped policy drives; its own time is not counted.
+    """
+    policy = load_policy()
+    config = TrainConfig()
+    scenarios = replace(config.scenarios, agent_scale=1.0)
+    env = Environment(maps, worlds, slots, policy.sim, scenarios, config.reward, policy.actions, seed=seed)
+    generator = torch.Generator().manual_seed(seed)
+    spent, agent_steps = 0.0, 0
+    for t in range(WARM_UP + steps):
+        action = torch.zeros(env.active.shape, dtype=torch.long)
+        action[env.active] = policy.act(env.observation, generator)
+        acting = int(env.active.sum())
+        began = time.process_time()
+        env.step(action)
+        if t >= WARM_UP:
+            spent += time.process_time() - began
+            agent_steps += acting
+        progress((t + 1) / (WARM_UP + steps), "simulator")
+    return _per_step("sim", agent_steps, spent) | {"worlds": worlds, "slots": slots}
+
+
+def bench_train(maps: list[MapBundle], config: TrainConfig, updates: int, progress: Progress) -> dict:
+    """Simulation, policy and learning end to end, with the default training configuration."""
+    from phase_sumo.train.loop import Trainer
+    from phase_sumo.train.run_folder import RunFolder
+
+    with tempfile.TemporaryDirectory(prefix="phase_sumo_") as folder:
+        config = replace(config, total_steps=10**9, checkpoint_every=10**9, held_out_every=10**9)
+        trainer = Trainer(config, maps, [], RunFolder(folder))
+        rows: list[dict[str, float]] = []
+
+        def note(row: dict[str, float]) -> None:
+            rows.append(row)
+            progress(len(rows) / (updates + 1), "training")
+
+        began = time.process_time()
+        trainer.run(note, stopping=lambda: len(rows) == 1)
+        began, warm = time.process_time(), trainer.steps
+        trainer.run(note, stopping=lambda: len(rows) > updates)
+        spent = time.process_time() - began
+    counted = rows[1:]
+    steps = sum(row["agent_steps"] for row in counted)
+    parts = {
+        f"{part}_cpu_us": sum(row[f"{part}_cpu_us"] * row["agent_steps"] for row in counted) / steps
+        for part in ("rollout", "learn")
+    }
+    return _per_step("train", int(trainer.steps - warm), spent) | parts
+
+
+def bench_convert(networks: list[Path], progress: Progress) -> dict[str, Any]:
+    """Conversion of networks to map bundles: km of lane per CPU second, pictures left out."""
+    from phase_sumo.bridge.convert import build_bundle
+    from phase_sumo.bridge.network import read_network
+
+    began, lane_km = time.process_time(), 0.0
+    for done, path in enumerate(networks):
+        network = read_network(path)
+        lane_km += len(build_bundle(network).graph.node_xy) / 1000.0  # a node every metre
+        progress((done + 1) / len(networks), path.name)
+    spent = time.process_time() - began
+    return {
+        "part": "convert",
+        "lane_km": lane_km,
+        "cpu_seconds": spent,
+        "lane_km_per_cpu_second": lane_km / spent,
+    }
+
+
+def bench_bridge(cfg: Path, seed: int, progress: Progress) -> dict[str, Any]:
+    """A scenario through libsumo with every vehicle under PHASE, and SUMO alone for the difference."""
+    from phase_sumo.bridge.run import run_scenario
+
+    costs = {}
+    for share in (1.0, 0.0):
+        began = time.process_time()
+        result = run_scenario(cfg, share=share, seed=seed, progress=progress)
+        costs[share] = (time.process_time() - began, result)
+    phase = costs[1.0][1]
+    return {
+        "part": "bridge",
+        "phase_vehicles": phase["phase_vehicles"],
+        "real_time_factor": phase["real_time_factor"],
+        "policy_cpu_us_per_vehicle_step": phase["policy_cpu_us_per_vehicle_step"],
+        "cpu_seconds": costs[1.0][0],
+        "cpu_seconds_sumo_alone": costs[0.0][0],
+    }
+
+
+def _per_step(part: str, agent_steps: int, cpu_seconds: float) -> dict[str, Any]:
+    return {
+        "part": part,
+        "agent_steps": agent_steps,
+        "agent_steps_per_second": agent_steps / cpu_seconds,
+        "cpu_us_per_agent_step": 1e6 * cpu_seconds / agent_steps,
+    }
