@@ -74,7 +74,7 @@ class RewardConfig:
     # missed goal costs hundreds of goals; with GPUDrive's 1000 m and 100 m/s nobody heeds the target
     # speed; these two balance the table's weights.
     distance_unit: float = 1000.0  # m, choice
-    speed_unit: float = 10.0  # m/s, choice
+    speed_unit: float = 3.0  # m/s, choice
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class TrainConfig:
     total_steps: int = 11_000_000  # agent steps
     rollout: int = 16  # steps per world and update
     minibatch: int = 2048
-    learning_rate: float = 5e-4  # annealed linearly to a tenth
+    learning_rate: float = 8e-4  # annealed linearly to a tenth
     gamma: float = 0.98
     gae_lambda: float = 0.95
     clip: float = 0.2  # epsilon

@@ -1,0 +1,127 @@
+"""Drives the controlled rows of a table with the policy, one simulator step at a time."""
+
+from __future__ import annotations
+
+import time as clock
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from phase_sumo.bridge.goals import GoalPlanner
+from phase_sumo.bridge.road import Road
+from phase_sumo.bridge.route import RouteLanes
+from phase_sumo.bridge.table import VehicleTable
+from phase_sumo.config import ActionConfig, SimConfig
+from phase_sumo.sim import kinematics
+from phase_sumo.sim.observation import Observation, observe
+
+SAME_WAY = 0.5  # cosine of the heading difference up to which another vehicle is seen
+
+
+class Driver(Protocol):
+    """What drives: `phase_sumo.policy.checkpoint.Policy`, or a stand-in in tests."""
+
+    sim: SimConfig
+    actions: ActionConfig
+
+    def act(self, observation: Observation, generator: torch.Generator | None = None) -> Tensor:
+        """Action tokens [A] of the observing agents."""
+        ...
+
+
+class Controller:
+    """Observation, policy, kinematics: the same code as in training, on the table's memory.
+
+    Attributes:
+        cpu, decisions: CPU seconds spent on observing, deciding and moving, and vehicle steps decided.
+    """
+
+    def __init__(self, road: Road, table: VehicleTable, driver: Driver, planner: GoalPlanner) -> None:
+        self._road, self._table, self._driver, self._planner = road, table, driver, planner
+        self._map_index = torch.zeros(1, dtype=torch.long)
+        self.cpu = 0.0
+        self.decisions = 0
+
+    def drive(
+        self, time: float, substeps: int, node: np.ndarray, routes: dict[str, RouteLanes]
+    ) -> np.ndarray:
+        """Move the controlled rows on by ``substeps`` steps.
+
+        SUMO's vehicles run on at constant speed between two of SUMO's steps; the table holds their pose of
+        SUMO's clock again afterwards.
+
+        Args:
+            node: [N] node of each row's front bumper, -1 off the road.
+
+        Returns:
+            [N] nodes after the move.
+        """
+        table, dt = self._table, self._driver.sim.dt
+        others = np.flatnonzero(table.active & ~table.controlled)
+        before = {name: table[name][others].copy() for name in ("x", "y")}
+        for k in range(substeps):
+            rows = np.flatnonzero(table.controlled)
+            if not len(rows):
+                break
+            self._planner.update(time + k * dt, node, routes)
+            self._step(rows)
+            node = self.track(node, rows)
+            if k + 1 < substeps:
+                table.extrapolate(others, dt)
+        for name, values in before.items():
+            table[name][others] = values
+        return node
+
+    def track(self, node: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Nodes of the front bumpers, updated for some rows."""
+        x, y = self._table.front
+        node = node.copy()
+        node[rows], _ = self._road.track(node[rows], x[rows], y[rows], self._table["yaw"][rows])
+        return node
+
+    @torch.no_grad()
+    def _step(self, rows: np.ndarray) -> None:
+        begin = clock.process_time()
+        table, driver = self._table, self._driver
+        shape, state, task = table.shape(), table.state(), table.task()
+        observers = torch.from_numpy(table.controlled).unsqueeze(0)
+        neighbours = self._neighbours(rows)
+        seen = observe(shape, state, task, observers, neighbours, self._road.map, self._map_index, driver.sim)
+        action = torch.zeros(observers.shape, dtype=torch.long)
+        action[observers] = driver.act(seen)
+        jerk, steering_rate = kinematics.command(action, task.alpha, driver.actions)
+        table.take(kinematics.advance(shape, state, jerk, steering_rate, driver.sim), rows)
+        self.cpu += clock.process_time() - begin
+        self.decisions += len(rows)
+
+    def _neighbours(self, rows: np.ndarray) -> tuple[Tensor, Tensor]:
+        """As `observation.nearest`, for some rows, without traffic that runs in another direction.
+
+        Training maps are single carriageways; the opposite one and roads on other levels would only take
+        the places of the vehicles that matter.
+
+        Returns:
+            index and mask, both [1, N, K], filled for ``rows``.
+        """
+        table, sim = self._table, self._driver.sim
+        active = np.flatnonzero(table.active)
+        dx = table["x"][rows, None] - table["x"][active]
+        dy = table["y"][rows, None] - table["y"][active]
+        squared = dx * dx + dy * dy
+        squared[np.cos(table["yaw"][rows, None] - table["yaw"][active]) < SAME_WAY] = np.inf
+        squared[rows[:, None] == active] = np.inf
+        count = min(sim.neighbours, len(active))
+        order = np.argpartition(squared, count - 1, axis=1)[:, :count]
+        value = np.take_along_axis(squared, order, 1)
+        nearest_first = np.argsort(value, 1, kind="stable")
+        order, value = (
+            np.take_along_axis(order, nearest_first, 1),
+            np.take_along_axis(value, nearest_first, 1),
+        )
+        index = np.zeros((1, len(table), sim.neighbours), np.int64)
+        mask = np.zeros(index.shape, bool)
+        index[0, rows, :count] = active[order]
+        mask[0, rows, :count] = value < sim.neighbour_range**2
+        return torch.from_numpy(index), torch.from_numpy(mask)

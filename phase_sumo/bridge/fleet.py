@@ -1,0 +1,389 @@
+"""The vehicles that PHASE drives: taken over from SUMO, moved, and given back."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from phase_sumo.bridge.choice import Choice
+from phase_sumo.bridge.controller import Controller, Driver
+from phase_sumo.bridge.conventions import angle_from_yaw
+from phase_sumo.bridge.goals import GoalPlanner
+from phase_sumo.bridge.road import Road
+from phase_sumo.bridge.route import RouteLanes, follow_lanes, kept_stretch, remaining, route_lanes
+from phase_sumo.bridge.scene import Scene
+from phase_sumo.errors import PhaseError
+from phase_sumo.sim.events import road_contacts
+from phase_sumo.sim.lanes import LaneNetwork
+from phase_sumo.sim.vehicles import boxes
+
+ADOPT_ROOM = 150.0  # m of observed road ahead below which a vehicle is left to SUMO
+HAND_BACK_ROOM = 100.0  # m before the end of the observed road at which SUMO takes over again
+KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer to a lane
+OFF_ROAD_SECONDS = 4.0  # s without a lane after which a vehicle is taken out
+EDGE_CONTACT_APART = 1.0  # s without touching the road edge that end one contact
+MIN_TARGET_SPEED, MAX_TARGET_SPEED = 3.0, 40.0  # m/s
+MOVE = 2  # moveToXY keepRoute: exact position, any road
+MATCH = 10.0  # m within which SUMO looks for the lane
+SPEED_MODE, LANE_MODE = 96, 0  # SUMO checks nothing while we drive
+SUMO_SPEED_MODE, SUMO_LANE_MODE = 31, 1621  # SUMO's defaults
+VAPORIZED = 3
+
+
+@dataclass
+class Member:
+    """What we remember of a vehicle under the policy.
+
+    Attributes:
+        route: lanes of the stretch of its route on the observed road.
+        edges: that stretch; empty when the route was lost.
+        leads_off: the route goes on to roads that SUMO drives.
+        speed_factor: SUMO's own factor, and the one set at the moment.
+        max_speed: of the vType, m/s.
+        target_speed: set by the parameter ``phase.target_speed``, m/s; None follows the speed limit.
+        lost_since: time since when the front bumper is on no lane, or None.
+        off_lane_until: time until which SUMO is told a position on a lane, see `_towards_lane`.
+        edge_contact: last time at which it touched the road edge.
+        wrong: already counted as being off its route.
+    """
+
+    route: RouteLanes
+    edges: tuple[str, ...]
+    leads_off: bool
+    speed_factor: float
+    max_speed: float
+    target_speed: float | None = None
+    set_factor: float = 0.0
+    lost_since: float | None = None
+    off_lane_until: float = -np.inf
+    edge_contact: float = -np.inf
+    wrong: bool = False
+
+
+class Fleet:
+    """Owns the poses of its vehicles; SUMO is told about them after every step.
+
+    Attributes:
+        off_road: contacts of PHASE vehicles with the road edge, one per contact.
+        wrong_exits, reroutes: vehicles that left their route, and those that SUMO found another way for.
+        hand_backs: vehicles given back to SUMO before the observed road ends.
+    """
+
+    def __init__(
+        self, scene: Scene, network: LaneNetwork, driver: Driver, choice: Choice, publish_hitch: bool = False
+    ) -> None:
+        """``publish_hitch`` keeps the hitch angle in rad in each trailer's parameter ``phase.hitch``."""
+        self._scene, self._table, self._api = scene, scene.table, scene.api
+        self._driver, self._choice = driver, choice
+        self._road = Road(network)
+        self._planner = GoalPlanner(self._road, scene.table)
+        self._controller = Controller(self._road, scene.table, driver, self._planner)
+        self._members: dict[str, Member] = {}
+        self._left_to_sumo: set[str] = set()
+        self._node = np.full(len(scene.table), -1, np.int64)
+        self._routes: dict[tuple[tuple[str, ...], bool], RouteLanes] = {}
+        self._follow = follow_lanes(self._road)
+        self._shapes: dict[str, np.ndarray] = {}
+        self._substeps = 1
+        self._publish_hitch = publish_hitch
+        self.off_road = 0
+        self.wrong_exits = 0
+        self.reroutes = 0
+        self.hand_backs = 0
+
+    @property
+    def cpu_per_decision(self) -> float:
+        """CPU microseconds per vehicle and policy step."""
+        return 1e6 * self._controller.cpu / max(self._controller.decisions, 1)
+
+    def report(self) -> dict[str, Any]:
+        """Counts beyond the common ones."""
+        return {
+            "wrong_exits": self.wrong_exits,
+            "reroutes": self.reroutes,
+            "hand_backs": self.hand_backs,
+            "lane_change_goals": self._planner.changes_wanted,
+            "decisions": self._controller.decisions,
+        }
+
+    def check_step(self, step_length: float) -> None:
+        """SUMO's step must hold a whole number of ours."""
+        dt = self._driver.sim.dt
+        self._substeps = round(step_length / dt)
+        if self._substeps < 1 or abs(self._substeps * dt - step_length) > 1e-6:
+            raise PhaseError(
+                f"option step-length {step_length:g} s: PHASE moves in steps of {dt:g} s; "
+                f"pass -- --step-length {max(self._substeps, 1) * dt:g}"
+            )
+
+    def follow_sumo(self, time: float) -> None:
+        """After SUMO's step: take over, give back, watch the road edge."""
+        for vehicle in set(self._members) - set(self._scene.facts):
+            self._drop(vehicle)
+        self._locate()
+        self._adopt()
+        for vehicle in list(self._members):
+            self._check(vehicle, time)
+        self._watch_road_edge(time)
+
+    def drive(self, time: float) -> None:
+        """Move the vehicles and tell SUMO where they will be after its next step."""
+        routes = {vehicle: member.route for vehicle, member in self._members.items()}
+        nodes = self._controller.drive(time, self._substeps, self._node, routes)
+        front_x, front_y = self._table.front
+        angle = angle_from_yaw(self._table["yaw"])
+        seconds = self._substeps * self._driver.sim.dt
+        for vehicle in list(self._members):
+            row = self._table.row_of[vehicle]
+            member = self._members[vehicle]
+            if self._arrives(member, int(self._node[row]), front_x[row], front_y[row]):
+                self._finish(vehicle, member)
+                continue
+            trip = self._scene.trips[vehicle]
+            trip.policy_seconds += seconds
+            trip.policy_metres += float(self._table["speed"][row]) * seconds
+            self._match_speed(vehicle, member, row, int(nodes[row]))
+            at = (float(front_x[row]), float(front_y[row]))
+            if time < member.off_lane_until:
+                at = self._towards_lane(at, row, int(nodes[row]))
+            if self._publish_hitch and self._table["trailer_length"][row] > 0:
+                self._api.vehicle.setParameter(vehicle, "phase.hitch", f"{self._table['hitch'][row]:.4f}")
+            self._api.vehicle.moveToXY(vehicle, "", -1, *at, float(angle[row]), MOVE, MATCH)
+        self._node = nodes
+
+    def _locate(self) -> None:
+        """Nodes of all rows; empty rows and rows that changed hands start anew."""
+        size = len(self._table)
+        if len(self._node) < size:
+            self._node = np.r_[self._node, np.full(size - len(self._node), -1, np.int64)]
+        self._node[~self._table.active] = -1
+        rows = np.flatnonzero(self._table.active)
+        if len(rows):
+            self._node = self._controller.track(self._node, rows)
+
+    def _adopt(self) -> None:
+        for vehicle, lane in list(self._scene.lane_of.items()):
+            if vehicle in self._left_to_sumo or vehicle in self._members or lane.startswith(":"):
+                continue
+            facts = self._scene.facts[vehicle]
+            if facts.kind is None or not self._wanted(vehicle, facts.type):
+                self._left_to_sumo.add(vehicle)
+                continue
+            row = self._table.row_of[vehicle]
+            if self._node[row] < 0:
+                continue
+            route = tuple(self._api.vehicle.getRoute(vehicle))
+            at = self._api.vehicle.getRouteIndex(vehicle)
+            edges = kept_stretch(self._road, route, at)
+            if not edges:
+                continue
+            lanes = self._lanes(edges, bool(facts.shape.truck))
+            leads_off = at + len(edges) < len(route)
+            if leads_off and remaining(self._road, lanes, int(self._node[row])) < ADOPT_ROOM:
+                continue
+            self._take(vehicle, row, Member(lanes, edges, leads_off, 1.0, MAX_TARGET_SPEED))
+
+    def _wanted(self, vehicle: str, kind: str) -> bool:
+        if self._api.vehicletype.getParameter(kind, "has.phase.device").lower() in ("false", "0", "no"):
+            return False
+        return self._choice.chosen(vehicle, kind)
+
+    def _take(self, vehicle: str, row: int, member: Member) -> None:
+        api, table = self._api.vehicle, self._table
+        member.speed_factor = member.set_factor = float(api.getSpeedFactor(vehicle))
+        member.max_speed = float(api.getMaxSpeed(vehicle))
+        member.target_speed = self._parameter(vehicle, "phase.target_speed")
+        api.setSpeedMode(vehicle, SPEED_MODE)
+        api.setLaneChangeMode(vehicle, LANE_MODE)
+        table.controlled[row] = True
+        table["alpha"][row] = self._parameter(vehicle, "phase.alpha") or self._choice.alpha_of(vehicle)
+        low, high = self._accel_bounds(row)
+        table["accel"][row] = np.clip(table["accel"][row], low, high)
+        table["accel_history"][row] = table["accel"][row]
+        self._members[vehicle] = member
+        self._scene.lane_of.pop(vehicle, None)
+        self._scene.trips[vehicle].adopted = True
+        self._set_target_speed(member, row, int(self._node[row]))
+
+    def _accel_bounds(self, row: int) -> tuple[float, float]:
+        sim = self._driver.sim
+        return sim.truck_accel_bounds if self._table["truck"][row] else sim.accel_bounds
+
+    def _parameter(self, vehicle: str, key: str) -> float | None:
+        """A number that the vehicle or its vType carries as a generic parameter."""
+        text = self._api.vehicle.getParameter(vehicle, key)
+        text = text or self._api.vehicletype.getParameter(self._scene.types[vehicle], key)
+        if not text:
+            return None
+        try:
+            return float(text)
+        except ValueError:
+            raise PhaseError(
+                f"vehicle {vehicle}: parameter {key}={text!r} is no number; correct it"
+            ) from None
+
+    def _check(self, vehicle: str, time: float) -> None:
+        """Keep the target speed current; give back, reroute or take out where needed."""
+        member, row = self._members[vehicle], self._table.row_of[vehicle]
+        node = int(self._node[row])
+        if not self._api.vehicle.getLaneID(vehicle):
+            member.off_lane_until = time + KEEP_ON_LANE
+        if node < 0:
+            member.lost_since = time if member.lost_since is None else member.lost_since
+            if time - member.lost_since >= OFF_ROAD_SECONDS:
+                self._remove(vehicle, "off road")
+            return
+        member.lost_since = None
+        lane = int(self._road.graph.node_lane[node])
+        if not np.isfinite(member.route.changes[lane]):
+            self._lost_route(vehicle, member)
+            return
+        self._set_target_speed(member, row, node)
+        room = remaining(self._road, member.route, node)
+        if member.leads_off and room < HAND_BACK_ROOM and not self._road.network.lanes[lane].connector:
+            self._hand_back(vehicle, member)
+        elif not member.edges and room < 2.0 + self._table["speed"][row] * self._scene.session.step_length:
+            self._remove(vehicle, "wrong exit")
+
+    def _lost_route(self, vehicle: str, member: Member) -> None:
+        """Off its route: let SUMO look for another way, else follow the lane."""
+        if not member.wrong:
+            member.wrong = True
+            self.wrong_exits += 1
+        lane = self._api.vehicle.getLaneID(vehicle)
+        if lane.startswith(":"):
+            return
+        goal = member.edges[-1] if member.edges else ""
+        route: tuple[str, ...] = ()
+        with contextlib.suppress(self._api.TraCIException):
+            self._api.vehicle.changeTarget(vehicle, goal)
+            route = tuple(self._api.vehicle.getRoute(vehicle))
+            route = route[self._api.vehicle.getRouteIndex(vehicle) :]
+        edges = kept_stretch(self._road, route, 0)
+        truck = bool(self._table["truck"][self._table.row_of[vehicle]])
+        lanes = self._lanes(edges, truck) if edges and edges[-1] == goal else None
+        node = int(self._node[self._table.row_of[vehicle]])
+        if lanes is not None and np.isfinite(lanes.changes[self._road.graph.node_lane[node]]):
+            member.route, member.edges, member.wrong = lanes, edges, False
+            self.reroutes += 1
+        else:
+            member.route, member.edges, member.leads_off = self._follow, (), False
+
+    def _lanes(self, edges: tuple[str, ...], truck: bool) -> RouteLanes:
+        key = (edges, truck)
+        if key not in self._routes:
+            self._routes[key] = route_lanes(self._road, edges, truck)
+        return self._routes[key]
+
+    def _set_target_speed(self, member: Member, row: int, node: int) -> None:
+        limit = self._road.network.lanes[int(self._road.graph.node_lane[node])].speed_limit
+        speed = member.target_speed or min(limit * member.speed_factor, member.max_speed)
+        self._table["goal_speed"][row] = min(max(speed, MIN_TARGET_SPEED), MAX_TARGET_SPEED)
+
+    def _match_speed(self, vehicle: str, member: Member, row: int, node: int) -> None:
+        """SUMO clamps the speed it reports to lane limit x factor: keep that above ours."""
+        if node < 0:
+            return
+        limit = self._road.network.lanes[int(self._road.graph.node_lane[node])].speed_limit
+        factor = max(member.speed_factor, 1.0005 * float(self._table["speed"][row]) / max(limit, 0.1))
+        if abs(factor - member.set_factor) > 1e-4:
+            self._api.vehicle.setSpeedFactor(vehicle, factor)
+            member.set_factor = factor
+
+    def _towards_lane(self, at: tuple[float, float], row: int, node: int) -> tuple[float, float]:
+        """The position nearest to ``at`` that SUMO still counts as on the lane.
+
+        Others do not see a vehicle that is on none of SUMO's lanes. That happens beside the road, but also
+        where SUMO's lanes jump sideways at a junction and ours are smooth. Our own pose stays as it is.
+        """
+        if node < 0:
+            return at
+        index = int(self._road.graph.node_lane[node])
+        lane = self._road.network.lanes[index]
+        best = (np.inf, at, 0.0)
+        for name in (*(part for part, _ in lane.parts), lane.id):
+            x, y = nearest_on_line(self._sumo_shape(name), at)
+            best = min(best, (float(np.hypot(at[0] - x, at[1] - y)), (x, y), lane.width))
+        distance, (x, y), width = best
+        reach = 0.4 * (width + float(self._table["width"][row]))
+        if distance <= reach:
+            return at
+        return x + (at[0] - x) * reach / distance, y + (at[1] - y) * reach / distance
+
+    def _sumo_shape(self, lane: str) -> np.ndarray:
+        if lane not in self._shapes:
+            self._shapes[lane] = np.array([p[:2] for p in self._api.lane.getShape(lane)], np.float64)
+        return self._shapes[lane]
+
+    def _arrives(self, member: Member, node: int, front_x: float, front_y: float) -> bool:
+        """The new pose is past the end of the last lane of the route."""
+        if member.leads_off or node < 0:
+            return False
+        lane = int(self._road.graph.node_lane[node])
+        if not member.edges or self._road.network.lanes[lane].edge != member.edges[-1]:
+            return False
+        end = int(self._road.first[lane] + self._road.count[lane] - 1)
+        yaw = float(self._road.graph.node_yaw[end])
+        dx, dy = front_x - self._road.graph.node_xy[end, 0], front_y - self._road.graph.node_xy[end, 1]
+        return bool(dx * np.cos(yaw) + dy * np.sin(yaw) > -0.3)
+
+    def _finish(self, vehicle: str, member: Member) -> None:
+        """SUMO takes the last step of the trip, so that the vehicle arrives in its records."""
+        self._scene.trips[vehicle].finished = True
+        self._release(vehicle, member)
+
+    def _hand_back(self, vehicle: str, member: Member) -> None:
+        api = self._api.vehicle
+        self.hand_backs += 1
+        lane = api.getLaneID(vehicle)
+        if lane and not lane.startswith(":"):
+            api.moveTo(vehicle, lane, api.getLanePosition(vehicle))
+        self._release(vehicle, member)
+
+    def _release(self, vehicle: str, member: Member) -> None:
+        api = self._api.vehicle
+        api.setSpeedMode(vehicle, SUMO_SPEED_MODE)
+        api.setLaneChangeMode(vehicle, SUMO_LANE_MODE)
+        api.setSpeed(vehicle, -1.0)
+        if member.set_factor != member.speed_factor:
+            api.setSpeedFactor(vehicle, member.speed_factor)
+        self._drop(vehicle)
+        self._table.controlled[self._table.row_of[vehicle]] = False
+
+    def _remove(self, vehicle: str, reason: str) -> None:
+        self._api.vehicle.remove(vehicle, VAPORIZED)
+        self._scene.trips[vehicle].removed = reason
+        self._scene.forget(vehicle)
+        self._drop(vehicle)
+
+    def _drop(self, vehicle: str) -> None:
+        del self._members[vehicle]
+        self._left_to_sumo.add(vehicle)
+        self._planner.forget(vehicle)
+
+    def _watch_road_edge(self, time: float) -> None:
+        rows = np.flatnonzero(self._table.controlled)
+        if not len(rows):
+            return
+        box = boxes(self._table.shape(), self._table.state())[:, :, torch.from_numpy(rows)]
+        present = box[4] > 0
+        touching, _ = road_contacts(box, present, self._road.map, torch.zeros(1, dtype=torch.long))
+        for row in rows[touching[0].numpy()].tolist():
+            member = self._members[self._table.ids[row]]
+            if time - member.edge_contact > EDGE_CONTACT_APART:
+                self.off_road += 1
+            member.edge_contact = time
+
+
+def nearest_on_line(line: np.ndarray, at: tuple[float, float]) -> tuple[float, float]:
+    """Point of a polyline [P, 2] nearest to a position."""
+    a, b = line[:-1], line[1:]
+    along = b - a
+    share = ((at - a) * along).sum(1) / np.maximum((along * along).sum(1), 1e-12)
+    points = a + np.clip(share, 0.0, 1.0)[:, None] * along
+    nearest = points[np.hypot(*(points - at).T).argmin()]
+    return float(nearest[0]), float(nearest[1])

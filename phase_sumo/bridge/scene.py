@@ -1,0 +1,190 @@
+"""The traffic of a running simulation: who is there, and where SUMO's own vehicles are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from phase_sumo.bridge.conventions import (
+    ShapeRow,
+    reference_from_front,
+    shape_from_type,
+    vehicle_kind,
+    yaw_from_angle,
+)
+from phase_sumo.bridge.session import Session
+from phase_sumo.bridge.table import VehicleTable
+
+
+@dataclass
+class Trip:
+    """One vehicle's way through the simulation.
+
+    Attributes:
+        vehicle, type: ids.
+        depart, delay: s, of the insertion, and how much later than wanted that was.
+        arrive: s, NaN while it runs or when it was removed.
+        removed: reason, "" if it was not.
+        policy_seconds, seconds: under the policy, and in total.
+        policy_metres: driven under the policy.
+        adopted, finished: the policy drove it at some time; the policy drove it to its arrival.
+    """
+
+    vehicle: str
+    type: str
+    depart: float
+    delay: float = 0.0
+    arrive: float = float("nan")
+    removed: str = ""
+    policy_seconds: float = 0.0
+    seconds: float = 0.0
+    policy_metres: float = 0.0
+    adopted: bool = False
+    finished: bool = False
+
+
+@dataclass
+class VehicleFacts:
+    """Constants of a vehicle, read once."""
+
+    type: str
+    shape: ShapeRow
+    kind: str | None
+
+
+class Scene:
+    """Follows SUMO's vehicle list and mirrors the vehicles on the observed road in a table.
+
+    Attributes:
+        table: rows of the vehicles on the observed road.
+        trips: every vehicle that was ever inserted.
+        facts: type and shape of the present vehicles.
+        types: vehicle id -> vType id of the present vehicles.
+        lane_of: lane id of the SUMO-driven vehicles in the table.
+        departed: ids inserted in the last step.
+    """
+
+    def __init__(self, session: Session, observed_edges: frozenset[str] | None) -> None:
+        """``observed_edges`` None observes every road."""
+        self.session = session
+        self.api = session.api
+        self.table = VehicleTable()
+        self.trips: dict[str, Trip] = {}
+        self.facts: dict[str, VehicleFacts] = {}
+        self.types: dict[str, str] = {}
+        self.lane_of: dict[str, str] = {}
+        self.departed: tuple[str, ...] = ()
+        self._observed = observed_edges
+        self._type_facts: dict[str, VehicleFacts] = {}
+        self._edge_of: dict[str, str] = {}
+
+    def update(self) -> None:
+        """Read what the last step of SUMO changed; rows of controlled vehicles are left alone."""
+        time = self.session.time
+        self.departed = tuple(self.api.simulation.getDepartedIDList())
+        for vehicle in self.departed:
+            self._enter(vehicle, time)
+        for vehicle in self.api.simulation.getArrivedIDList():
+            if vehicle in self.facts:
+                self.trips[vehicle].arrive = time
+                self.forget(vehicle)
+        present = self.api.vehicle.getIDList()
+        if len(present) != len(self.facts):
+            for vehicle in set(self.facts) - set(present):
+                if not self._exists(vehicle):
+                    self.trips[vehicle].removed = "removed by SUMO"
+                    self.forget(vehicle)
+        self._mirror(present)
+        for vehicle in self.facts:
+            self.trips[vehicle].seconds += self.session.step_length
+
+    def forget(self, vehicle: str) -> None:
+        """The vehicle left the simulation."""
+        del self.facts[vehicle], self.types[vehicle]
+        self.lane_of.pop(vehicle, None)
+        if vehicle in self.table.row_of:
+            self.table.remove(vehicle)
+
+    def edge(self, lane: str) -> str:
+        """Edge of a lane id, cached; lane ids may hold any character."""
+        edge = self._edge_of.get(lane)
+        if edge is None:
+            edge = self._edge_of[lane] = lane.rpartition("_")[0]
+        return edge
+
+    def accounts(self) -> dict[str, int]:
+        """Where all inserted vehicles are now: inserted = arrived + running + removed."""
+        trips = self.trips.values()
+        removed: dict[str, int] = {}
+        for trip in trips:
+            if trip.removed:
+                removed[trip.removed] = removed.get(trip.removed, 0) + 1
+        return {
+            "inserted": len(self.trips),
+            "arrived": sum(math.isfinite(t.arrive) for t in trips),
+            "running": len(self.facts),
+            **{f"removed: {reason}": count for reason, count in sorted(removed.items())},
+        }
+
+    def _exists(self, vehicle: str) -> bool:
+        """SUMO does not list a vehicle that is on no lane, but still knows it."""
+        try:
+            self.api.vehicle.getRouteIndex(vehicle)
+        except self.api.TraCIException:
+            return False
+        return True
+
+    def _enter(self, vehicle: str, time: float) -> None:
+        kind = self.api.vehicle.getTypeID(vehicle)
+        facts = self._type_facts.get(kind)
+        if facts is None:
+            types = self.api.vehicletype
+            vclass, length = types.getVehicleClass(kind), types.getLength(kind)
+            shape = shape_from_type(vclass, length, types.getWidth(kind))
+            facts = self._type_facts[kind] = VehicleFacts(kind, shape, vehicle_kind(vclass, length))
+        self.facts[vehicle] = facts
+        self.types[vehicle] = kind
+        self.trips[vehicle] = Trip(vehicle, kind, time, float(self.api.vehicle.getDepartDelay(vehicle)))
+
+    def _mirror(self, present: tuple[str, ...]) -> None:
+        table, api = self.table, self.api.vehicle
+        rows, x, y, angle, speed, accel, overhang = [], [], [], [], [], [], []
+        fresh: list[int] = []
+        for vehicle in present:
+            row = table.row_of.get(vehicle)
+            if row is not None and table.controlled[row]:
+                continue
+            lane = api.getLaneID(vehicle)
+            if not self._is_observed(lane, row is not None):
+                if row is not None:
+                    table.remove(vehicle)
+                    self.lane_of.pop(vehicle, None)
+                continue
+            if row is None:
+                row = table.add(vehicle, self.facts[vehicle].shape)
+                fresh.append(len(rows))
+            self.lane_of[vehicle] = lane
+            position = api.getPosition(vehicle)
+            rows.append(row)
+            x.append(position[0])
+            y.append(position[1])
+            angle.append(api.getAngle(vehicle))
+            speed.append(api.getSpeed(vehicle))
+            accel.append(api.getAcceleration(vehicle))
+            overhang.append(self.facts[vehicle].shape.front_overhang)
+        if not rows:
+            return
+        index = np.array(rows)
+        yaw = yaw_from_angle(angle)
+        table["yaw"][index[fresh]] = yaw[fresh]  # a trailer starts out straight
+        back_x, back_y = reference_from_front(x, y, yaw, overhang)
+        table.follow(index, back_x, back_y, yaw, np.array(speed), np.array(accel), self.session.step_length)
+
+    def _is_observed(self, lane: str, before: bool) -> bool:
+        if self._observed is None:
+            return bool(lane)
+        if lane.startswith(":"):
+            return before  # a junction belongs to the road one comes from
+        return self.edge(lane) in self._observed

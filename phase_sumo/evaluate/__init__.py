@@ -1,0 +1,1 @@
+"""Measures on simulated and recorded traffic."""

@@ -1,0 +1,206 @@
+"""Whole runs in SUMO with a hand-written driver in the policy's place."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phase_sumo.bridge import fleet
+from phase_sumo.bridge.compare import compare
+from phase_sumo.bridge.conventions import front_from_reference, yaw_from_angle
+from phase_sumo.bridge.processes import run_all
+from phase_sumo.bridge.run import run_scenario
+from phase_sumo.bridge.session import Session
+from phase_sumo.errors import PhaseError
+from phase_sumo.evaluate.trajectories import Trajectories
+from tests.standin import Standin
+
+NETWORK = Path(__file__).parents[2] / "networks" / "f04_onramp3.net.xml"
+ROUTES = """<routes>
+    <vType id="car" vClass="passenger" length="4.8" width="1.9" speedFactor="normc(0.9,0.1,0.7,1.1)"/>
+    <vType id="semi" vClass="trailer" length="20.0" width="2.55"
+           accel="0.9" maxSpeed="25" speedFactor="0.85"/>
+    <flow id="m" type="car" from="main0" to="main2" begin="0" end="40" period="2.2"
+          departLane="best" departSpeed="avg"/>
+    <flow id="t" type="semi" from="main0" to="main2" begin="0" end="40" period="9"
+          departLane="0" departSpeed="avg"/>
+    <flow id="r" type="car" from="onramp1" to="main2" begin="0" end="40" period="8" departSpeed="avg"/>
+</routes>
+"""
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    def write(step=0.1, end=40):
+        (tmp_path / "demand.rou.xml").write_text(ROUTES)
+        path = tmp_path / "test.sumocfg"
+        path.write_text(
+            f'<configuration><input><net-file value="{NETWORK}"/>'
+            '<route-files value="demand.rou.xml"/></input>'
+            f'<time><end value="{end}"/><step-length value="{step}"/></time></configuration>'
+        )
+        return path
+
+    return write
+
+
+def balanced(result):
+    accounts = dict(result["accounts"])
+    return accounts.pop("inserted") == sum(accounts.values()) == result["vehicles"]
+
+
+@pytest.mark.parametrize("step", [0.1, 0.5, 1.0])
+def test_every_vehicle_is_accounted_for_at_every_step_length(scenario, tmp_path, step):
+    out = tmp_path / "out"
+    result = run_scenario(scenario(step), policy=Standin(), seed=1, output_dir=out)
+    assert balanced(result)
+    assert result["phase_vehicles"] == result["vehicles"] > 20
+    assert result["phase_arrived_under_policy"] == result["accounts"]["arrived"] > 5
+    assert result["off_road"] < 8  # the stand-in cuts the ramp's curve
+    assert result["share_of_time_under_policy"] > 0.9
+    assert result["phase_vehicle_km"] > 5.0
+    assert json.loads((out / "result.json").read_text()) == result
+    with (out / "trips.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == result["vehicles"]
+
+
+def test_sumo_holds_the_models_pose_speed_and_acceleration(scenario, monkeypatch):
+    seen = []
+    follow = fleet.Fleet.follow_sumo
+
+    def check(self, time):
+        api, table = self._api.vehicle, self._table
+        for vehicle in self._members:
+            # on a curve SUMO's speed is that of the front bumper along the lane, ours that of the rear axle
+            if vehicle not in self._scene.facts or not api.getLaneID(vehicle).startswith("main"):
+                continue
+            row = table.row_of[vehicle]
+            front = front_from_reference(
+                table["x"][row],
+                table["y"][row],
+                table["yaw"][row],
+                table["length"][row] - table["rear_overhang"][row],
+            )
+            yaw = float(yaw_from_angle(api.getAngle(vehicle)))
+            seen.append(
+                (
+                    np.hypot(*(np.array(front) - api.getPosition(vehicle))),
+                    abs(np.sin(yaw - table["yaw"][row])),
+                    abs(api.getSpeed(vehicle) - table["speed"][row]),
+                    abs(api.getAcceleration(vehicle) - table["accel"][row]),
+                )
+            )
+        follow(self, time)
+
+    monkeypatch.setattr(fleet.Fleet, "follow_sumo", check)
+    run_scenario(scenario(), policy=Standin(), seed=1, end=25)
+    errors = np.array(seen)
+    assert len(errors) > 1000
+    np.testing.assert_array_less(errors.max(axis=0), [0.02, 0.002, 0.05, 0.05])
+
+
+def test_same_seed_same_run(scenario):
+    first, second = (run_scenario(scenario(), policy=Standin(), seed=3, end=20) for _ in range(2))
+    for name in ("vehicles", "accounts", "phase_vehicle_km", "fleet"):
+        assert first[name] == second[name]
+
+
+def test_share_and_types(scenario):
+    some = run_scenario(scenario(), policy=Standin(), seed=1, share=0.5, end=30)
+    assert 0 < some["phase_vehicles"] < some["vehicles"]
+    assert balanced(some)
+    trucks = run_scenario(scenario(), policy=Standin(), seed=1, types=["semi"], end=30)
+    assert 0 < trucks["phase_vehicles"] < 6
+    none = run_scenario(scenario(), share=0.0, seed=1, end=30)
+    assert none["phase_vehicles"] == 0
+    assert none["arrived"] > 0
+
+
+def test_an_odd_step_length_is_refused_with_a_remedy(scenario):
+    with pytest.raises(PhaseError, match=r"step-length 0\.25.*pass -- --step-length 0\.2"):
+        run_scenario(scenario(0.25), policy=Standin())
+    run_scenario(scenario(), share=0.0, end=5)  # the session was closed
+
+
+def test_bad_network_is_one_clear_error(scenario, tmp_path):
+    path = scenario()
+    bad = tmp_path / "demand.rou.xml"
+    bad.write_text("<routes><flow id='f' from='nowhere' to='main2' begin='0' end='9' period='1'/></routes>")
+    with pytest.raises(PhaseError, match="nowhere"):
+        run_scenario(path, share=0.0)
+
+
+def test_one_simulation_per_process(scenario, tmp_path):
+    args = ["-n", str(NETWORK), "--no-step-log", "true"]
+    with (
+        Session(args, tmp_path),
+        pytest.raises(PhaseError, match="already running in this process"),
+        Session(args, tmp_path),
+    ):
+        pass
+    with Session(args, tmp_path) as session:
+        session.step()
+        assert session.time == 1.0
+
+
+def test_session_closes_after_an_exception(tmp_path):
+    args = ["-n", str(NETWORK), "--no-step-log", "true"]
+    with pytest.raises(KeyboardInterrupt), Session(args, tmp_path):
+        raise KeyboardInterrupt
+    with Session(args, tmp_path):
+        pass
+
+
+def test_processes_report_refusals(scenario, tmp_path):
+    with pytest.raises(PhaseError, match="nothere"):
+        run_all([{"cfg": str(tmp_path / "nothere.sumocfg"), "share": 0.0}])
+
+
+def test_comparison_writes_one_self_contained_page(scenario, tmp_path):
+    texts = []
+    out = tmp_path / "cmp"
+    result = compare(
+        scenario(),
+        ("phase", "idm"),
+        policy=Standin(),
+        out_dir=out,
+        end=30,
+        jobs=2,
+        progress=lambda fraction, text: texts.append((fraction, text)),
+    )
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 6
+    assert "http" not in page.replace("http-equiv", "")
+    assert "PHASE against IDM" in page
+    assert result["summary"]["phase"]["phase_vehicles"]["mean"] > 10
+    assert result["summary"]["idm"]["phase_vehicles"]["mean"] == 0
+    stored = json.loads((out / "comparison.json").read_text())
+    assert stored["seeds"] == [1]
+    assert {r["model"] for r in stored["runs"]} == {"phase", "idm"}
+    assert len((out / "comparison.csv").read_text().splitlines()) == 3
+    phase, idm = (Trajectories.load(out / f"{m}-seed1" / "trajectories.npz") for m in ("phase", "idm"))
+    assert phase.controlled.any()
+    assert not idm.controlled.any()
+    assert set(phase.vehicle_ids) & set(idm.vehicle_ids)
+    assert texts[-1][0] == pytest.approx(1.0)
+
+
+def test_hitch_angles_reach_sumos_trajectory_output(scenario, tmp_path):
+    fcd = tmp_path / "fcd.xml"
+    options = ["--fcd-output", str(fcd), "--fcd-output.params", "phase.hitch"]
+    run_scenario(scenario(), policy=Standin(), seed=1, types=["semi"], end=20, sumo_options=options)
+    assert "phase.hitch=" in fcd.read_text() or "phase_hitch=" in fcd.read_text()
+
+
+def test_unknown_types_are_told(scenario):
+    result = run_scenario(scenario(), policy=Standin(), seed=1, types=["nosuch"], end=5)
+    assert any("nosuch" in text for text in result["warnings"])
+
+
+def test_unknown_models_are_named(scenario, tmp_path):
+    with pytest.raises(PhaseError, match="nosuch"):
+        compare(scenario(), ("phase", "nosuch"), out_dir=tmp_path)

@@ -1,0 +1,140 @@
+"""Table, contacts and choice: the parts of the fleet that need no simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from phase_sumo.bridge.choice import Choice
+from phase_sumo.bridge.contacts import ContactMonitor, write_contacts
+from phase_sumo.bridge.conventions import shape_from_type
+from phase_sumo.bridge.fleet import nearest_on_line
+from phase_sumo.bridge.table import VehicleTable
+from phase_sumo.config import SimConfig
+from phase_sumo.errors import PhaseError
+from phase_sumo.sim import kinematics
+
+CAR, SEMI = shape_from_type("passenger", 5.0, 1.8), shape_from_type("trailer", 22.0, 2.6)
+
+
+def place(table, name, x, y, yaw=0.0, shape=CAR, controlled=False):
+    row = table.add(name, shape)
+    table["x"][row], table["y"][row], table["yaw"][row] = x, y, yaw
+    table.controlled[row] = controlled
+    return row
+
+
+def test_rows_are_reused_and_the_table_doubles():
+    table = VehicleTable(2)
+    for i in range(3):
+        table.add(f"v{i}", CAR)
+    assert len(table) == 4
+    row = table.row_of["v1"]
+    table.remove("v1")
+    assert not table.active[row]
+    assert table.add("v9", SEMI) == row
+    assert table["trailer_length"][row] > 0
+    assert table["hitch"][row] == 0
+
+
+def test_torch_sees_the_memory_of_the_table():
+    table = VehicleTable(4)
+    row = place(table, "a", 1.0, 2.0)
+    state = table.state()
+    table["x"][row] = 7.0
+    assert float(state.x[0, row]) == 7.0
+    assert state.accel_history.shape == (1, 4, 3)
+
+
+def test_trailer_of_a_sumo_vehicle_follows_as_in_the_kinematics():
+    table, config = VehicleTable(2), SimConfig()
+    row = place(table, "semi", 0.0, 0.0, shape=SEMI)
+    table["speed"][row] = 15.0
+    model, state = table.shape(), table.state().map(torch.clone)
+    state.steer[0, row] = 0.02
+    zero = torch.zeros(1, 2)
+    for _ in range(50):
+        state = kinematics.advance(model, state, zero, zero, config)
+        x, y, yaw, speed = (np.array([float(getattr(state, n)[0, row])]) for n in ("x", "y", "yaw", "speed"))
+        table.follow(np.array([row]), x, y, yaw, speed, np.zeros(1), config.dt)
+    assert table["hitch"][row] == pytest.approx(float(state.hitch[0, row]), rel=0.03)
+    assert table["hitch"][row] > 0.02
+
+
+def test_one_event_per_contact_with_the_follower_at_fault():
+    table, monitor = VehicleTable(4), ContactMonitor()
+    follower = place(table, "b", 0.0, 0.0, controlled=True)
+    place(table, "a", 4.5, 0.0)
+    assert len(monitor.update(table, 1.0, {"b": "car"})) == 1
+    assert monitor.update(table, 1.1, {}) == []
+    contact = monitor.contacts[0]
+    assert (contact.a, contact.b) == ("b", "a")
+    assert contact.fault_a and not contact.fault_b
+    assert contact.phase_at_fault
+    assert contact.seconds == pytest.approx(0.1)
+    table["x"][follower] = -20.0
+    monitor.update(table, 1.2, {})
+    monitor.update(table, 9.0, {})
+    table["x"][follower] = 0.0
+    assert len(monitor.update(table, 9.1, {})) == 1
+
+
+def test_trailers_collide_too_and_gaps_do_not():
+    table, monitor = VehicleTable(4), ContactMonitor()
+    semi = place(table, "semi", 0.0, 0.0, shape=SEMI)
+    car = place(table, "car", -12.0, 2.25)  # beside the trailer, 5 cm clear
+    assert monitor.update(table, 0.0, {}) == []
+    table["hitch"][semi] = 0.1  # the trailer's tail swings to the left, towards the car
+    assert len(monitor.update(table, 0.1, {})) == 1
+    table["x"][car] = -40.0
+    assert monitor.update(table, 5.0, {}) == []
+
+
+def test_roads_that_cross_on_another_level_are_no_contact():
+    table, monitor = VehicleTable(4), ContactMonitor()
+    place(table, "a", 0.0, 0.0)
+    place(table, "b", 1.0, -1.0, yaw=np.pi / 2)
+    assert monitor.update(table, 0.0, {}) == []
+
+
+def test_events_file_quotes_odd_ids(tmp_path):
+    table, monitor = VehicleTable(2), ContactMonitor()
+    place(table, "a,1", 0.0, 0.0)
+    place(table, "b", 1.0, 0.0)
+    monitor.update(table, 0.0, {})
+    write_contacts(tmp_path / "events.csv", monitor.contacts)
+    lines = (tmp_path / "events.csv").read_text().splitlines()
+    assert lines[0].startswith("time,seconds,a,b")
+    assert '"a,1"' in lines[1]
+
+
+def test_choice_is_nested_seeded_and_fair():
+    names = [f"veh{i}" for i in range(4000)]
+    few = {n for n in names if Choice(share=0.2, seed=1).chosen(n, "car")}
+    many = {n for n in names if Choice(share=0.6, seed=1).chosen(n, "car")}
+    assert few < many
+    assert len(few) / len(names) == pytest.approx(0.2, abs=0.03)
+    assert few != {n for n in names if Choice(share=0.2, seed=2).chosen(n, "car")}
+    assert all(Choice(share=1.0).chosen(n, "car") for n in names)
+    assert not any(Choice(share=0.0).chosen(n, "car") for n in names)
+
+
+def test_choice_of_types_and_alpha():
+    choice = Choice(types=("semi",), alpha=0.5)
+    assert choice.chosen("a", "semi")
+    assert not choice.chosen("a", "car")
+    assert choice.alpha_of("a") == 0.5
+    drawn = [Choice(alpha=(0.4, 0.6)).alpha_of(f"v{i}") for i in range(100)]
+    assert min(drawn) >= 0.4
+    assert max(drawn) <= 0.6
+    assert len(set(drawn)) > 90
+    with pytest.raises(PhaseError, match=r"alpha 0\.05"):
+        Choice(alpha=0.05)
+
+
+def test_nearest_point_of_a_line():
+    line = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]])
+    assert nearest_on_line(line, (4.0, 3.0)) == (4.0, 0.0)
+    assert nearest_on_line(line, (12.0, 5.0)) == (10.0, 5.0)
+    assert nearest_on_line(line, (-3.0, -4.0)) == (0.0, 0.0)

@@ -1,0 +1,166 @@
+"""Routes and goals on a hand-made motorway: three lanes, an exit on the right, an acceleration lane."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phase_sumo.bridge.goals import GOAL_BOUNDS, GoalPlanner
+from phase_sumo.bridge.road import Road
+from phase_sumo.bridge.route import ahead, follow_lanes, kept_stretch, remaining, route_lanes
+from phase_sumo.bridge.table import VehicleTable
+from phase_sumo.sim.lanes import Lane, LaneNetwork
+
+W = 3.6
+
+
+def lane(edge, index, x0, x1, y=None, **kwargs):
+    y = index * W if y is None else y
+    points = np.array([[x0, y], [x1, y]], float)
+    return Lane(f"{edge}_{index}", edge, points, W, 30.0, float(x1 - x0), **kwargs)
+
+
+@pytest.fixture(scope="module")
+def road():
+    """in (2 lanes) -> wide (right lane 0 is an acceleration lane fed by ramp) -> out (2 lanes) -> gore.
+
+    ``gore`` has two lanes that go on to ``main``; its right lane also leads to ``exit``.
+    """
+    lanes = [
+        lane("in", 1, 0, 300, left=1),  # 0
+        lane("in", 2, 0, 300, right=0),  # 1
+        lane("wide", 0, 300, 500, left=3, dead_end=True),  # 2, acceleration lane
+        lane("wide", 1, 300, 500, left=4, right=2),  # 3
+        lane("wide", 2, 300, 500, right=3),  # 4
+        lane("ramp", 0, 100, 300),  # 5
+        lane("out", 1, 500, 900, left=7),  # 6
+        lane("out", 2, 500, 900, right=6),  # 7
+        lane("main", 2, 900, 1200, right=-1),  # 8
+        lane("exit", 1, 900, 1200),  # 9
+    ]
+    successors = [(0, 3), (1, 4), (5, 2), (3, 6), (4, 7), (7, 8), (6, 9)]
+    return Road(LaneNetwork("toy", tuple(lanes), tuple(successors)))
+
+
+THROUGH = ("in", "wide", "out", "main")
+EXIT = ("in", "wide", "out", "exit")
+MERGE = ("ramp", "wide", "out", "main")
+
+
+def test_lanes_that_lead_on_need_no_change(road):
+    r = route_lanes(road, THROUGH, truck=False)
+    assert r.changes[[1, 4, 7, 8]].tolist() == [0, 0, 0, 0]
+    assert np.isinf(r.room[[1, 4, 7, 8]]).all()
+    assert np.isinf(r.changes[9])
+
+
+def test_exit_needs_one_change_to_the_right_before_the_gore(road):
+    r = route_lanes(road, EXIT, truck=False)
+    assert r.changes[[0, 1]].tolist() == [0, 1]
+    assert r.side[[1, 4, 7]].tolist() == [-1, -1, -1]
+    assert r.room[1] == pytest.approx(300 + 200 + 400)
+
+
+def test_acceleration_lane_must_be_left_before_it_ends(road):
+    r = route_lanes(road, MERGE, truck=False)
+    assert r.changes[2] == 2  # to lane 1, and on to lane 2 before the exit
+    assert r.side[2] == 1
+    assert r.room[2] == pytest.approx(200)
+    assert r.room[5] == pytest.approx(400)  # ramp and acceleration lane
+    assert r.side[5] == 0
+
+
+def test_kept_stretch_stops_at_the_first_other_edge(road):
+    assert kept_stretch(road, ("city", "in", "wide", "village", "out"), 1) == ("in", "wide")
+
+
+def test_ahead_follows_the_route_and_runs_on_beyond_its_end(road):
+    r = route_lanes(road, EXIT, truck=False)
+    node = int(road.first[0] + 290)
+    place = ahead(road, r, node, 100.0)
+    assert place.x == pytest.approx(390.0, abs=3.0)
+    last = int(road.first[9] + road.count[9] - 1)
+    assert ahead(road, r, last, 50.0).x == pytest.approx(1250.0, abs=1.0)
+
+
+def test_remaining_counts_to_the_end_of_the_stretch(road):
+    r = route_lanes(road, THROUGH, truck=False)
+    assert remaining(road, r, int(road.first[1])) == pytest.approx(1200.0, abs=5.0)
+    assert remaining(road, follow_lanes(road), int(road.first[2])) == pytest.approx(200.0, abs=2.0)
+
+
+def test_tracking_finds_lanes_and_loses_vehicles_off_the_road(road):
+    x, y = np.array([150.0, 400.0, 400.0]), np.array([W, 2 * W + 0.5, 60.0])
+    node, distance = road.track(np.full(3, -1), x, y, np.zeros(3))
+    assert [road.network.lanes[road.graph.node_lane[n]].id for n in node[:2]] == ["in_1", "wide_2"]
+    assert node[2] == -1
+    assert distance[1] == pytest.approx(0.5, abs=0.1)
+    moved, _ = road.track(node, x + 3.0, y, np.zeros(3))
+    assert (moved[:2] - node[:2]).tolist() == [3, 3]
+
+
+def test_a_vehicle_that_faces_the_traffic_is_on_no_lane(road):
+    node, _ = road.track(np.array([-1]), np.array([150.0]), np.array([W]), np.array([np.pi]))
+    assert node[0] == -1
+
+
+def put(table, road, name, x, y, speed, goal_speed=None):
+    from phase_sumo.bridge.conventions import shape_from_type
+
+    row = table.add(name, shape_from_type("passenger", 5.0, 1.8))
+    table["x"][row], table["y"][row], table["speed"][row] = x - 4.0, y, speed  # front bumper at x
+    if goal_speed is not None:
+        table.controlled[row] = True
+        table["goal_speed"][row] = goal_speed
+    return row
+
+
+def goals(road, vehicles, route):
+    """Plan once for the first vehicle."""
+    table = VehicleTable(8)
+    rows = [put(table, road, *v) for v in vehicles]
+    x, y = table.front
+    node = np.full(len(table), -1)
+    active = np.flatnonzero(table.active)
+    node[active], _ = road.track(node[active], x[active], y[active], table["yaw"][active])
+    GoalPlanner(road, table).update(0.0, node, {vehicles[0][0]: route_lanes(road, route, truck=False)})
+    return float(table["goal_x"][rows[0]]), float(table["goal_y"][rows[0]])
+
+
+def test_free_vehicle_keeps_its_lane(road):
+    x, y = goals(road, [("a", 50.0, 2 * W, 20.0, 20.0)], THROUGH)
+    assert y == pytest.approx(2 * W)
+    assert x - 50.0 == pytest.approx(120.0, abs=3.0)
+
+
+def test_goal_distance_is_bounded(road):
+    for speed, wanted in ((3.0, GOAL_BOUNDS[0]), (40.0, GOAL_BOUNDS[1])):
+        x, _ = goals(road, [("a", 50.0, 2 * W, speed, speed)], THROUGH)
+        assert x - 50.0 == pytest.approx(wanted, abs=3.0)
+
+
+def test_exit_far_away_does_not_force_a_change_yet_near_it_does(road):
+    assert goals(road, [("a", 20.0, 2 * W, 20.0, 20.0), ("b", 45.0, W, 20.0)], EXIT)[1] == pytest.approx(
+        2 * W
+    )
+    assert goals(road, [("a", 720.0, 2 * W, 20.0, 20.0)], EXIT)[1] == pytest.approx(W)
+
+
+def test_change_for_the_route_is_asked_for_before_the_room_ends(road):
+    x, y = goals(road, [("a", 820.0, 2 * W, 20.0, 20.0)], EXIT)
+    assert y == pytest.approx(W)
+    assert 820.0 + 2.5 * 20.0 - 3.0 <= x <= 905.0
+
+
+def test_acceleration_lane_asks_for_the_change_at_once(road):
+    assert goals(road, [("a", 320.0, 0.0, 20.0, 25.0)], MERGE)[1] == pytest.approx(W)
+
+
+def test_slow_leader_is_overtaken_on_the_left_when_there_is_room(road):
+    slow = ("b", 100.0, W, 10.0)
+    route = ("in", "wide", "out")
+    assert goals(road, [("a", 50.0, W, 20.0, 25.0), slow], route)[1] == pytest.approx(2 * W)
+    beside = ("c", 48.0, 2 * W, 25.0)
+    assert goals(road, [("a", 50.0, W, 20.0, 25.0), slow, beside], route)[1] == pytest.approx(W)
+    closing = ("c", 20.0, 2 * W, 35.0)
+    assert goals(road, [("a", 50.0, W, 20.0, 25.0), slow, closing], route)[1] == pytest.approx(W)
