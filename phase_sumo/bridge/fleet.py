@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,8 @@ from phase_sumo.bridge.choice import Choice
 from phase_sumo.bridge.controller import Controller, Driver
 from phase_sumo.bridge.conventions import angle_from_yaw
 from phase_sumo.bridge.goals import GoalPlanner
+from phase_sumo.bridge.member import Member
+from phase_sumo.bridge.pose import PoseWriter
 from phase_sumo.bridge.road import Road
 from phase_sumo.bridge.route import RouteLanes, follow_lanes, kept_stretch, remaining, route_lanes
 from phase_sumo.bridge.scene import Scene
@@ -27,41 +28,9 @@ KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer 
 OFF_ROAD_SECONDS = 4.0  # s without a lane after which a vehicle is taken out
 EDGE_CONTACT_APART = 1.0  # s without touching the road edge that end one contact
 MIN_TARGET_SPEED, MAX_TARGET_SPEED = 3.0, 40.0  # m/s
-MOVE = 2  # moveToXY keepRoute: exact position, any road
-MATCH = 10.0  # m within which SUMO looks for the lane
 SPEED_MODE, LANE_MODE = 96, 0  # SUMO checks nothing while we drive
 SUMO_SPEED_MODE, SUMO_LANE_MODE = 31, 1621  # SUMO's defaults
 VAPORIZED = 3
-
-
-@dataclass
-class Member:
-    """What we remember of a vehicle under the policy.
-
-    Attributes:
-        route: lanes of the stretch of its route on the observed road.
-        edges: that stretch; empty when the route was lost.
-        leads_off: the route goes on to roads that SUMO drives.
-        speed_factor: SUMO's own factor, and the one set at the moment.
-        max_speed: of the vType, m/s.
-        target_speed: set by the parameter ``phase.target_speed``, m/s; None follows the speed limit.
-        lost_since: time since when the front bumper is on no lane, or None.
-        off_lane_until: time until which SUMO is told a position on a lane, see `_towards_lane`.
-        edge_contact: last time at which it touched the road edge.
-        wrong: already counted as being off its route.
-    """
-
-    route: RouteLanes
-    edges: tuple[str, ...]
-    leads_off: bool
-    speed_factor: float
-    max_speed: float
-    target_speed: float | None = None
-    set_factor: float = 0.0
-    lost_since: float | None = None
-    off_lane_until: float = -np.inf
-    edge_contact: float = -np.inf
-    wrong: bool = False
 
 
 class Fleet:
@@ -87,7 +56,7 @@ class Fleet:
         self._node = np.full(len(scene.table), -1, np.int64)
         self._routes: dict[tuple[tuple[str, ...], bool], RouteLanes] = {}
         self._follow = follow_lanes(self._road)
-        self._shapes: dict[str, np.ndarray] = {}
+        self._writer = PoseWriter(self._api, self._road, scene.table)
         self._substeps = 1
         self._publish_hitch = publish_hitch
         self.off_road = 0
@@ -146,13 +115,10 @@ class Fleet:
             trip = self._scene.trips[vehicle]
             trip.policy_seconds += seconds
             trip.policy_metres += float(self._table["speed"][row]) * seconds
-            self._match_speed(vehicle, member, row, int(nodes[row]))
-            at = (float(front_x[row]), float(front_y[row]))
-            if time < member.off_lane_until:
-                at = self._towards_lane(at, row, int(nodes[row]))
             if self._publish_hitch and self._table["trailer_length"][row] > 0:
                 self._api.vehicle.setParameter(vehicle, "phase.hitch", f"{self._table['hitch'][row]:.4f}")
-            self._api.vehicle.moveToXY(vehicle, "", -1, *at, float(angle[row]), MOVE, MATCH)
+            front = (float(front_x[row]), float(front_y[row]))
+            self._writer.write(vehicle, member, int(nodes[row]), front, float(angle[row]), time)
         self._node = nodes
 
     def _locate(self) -> None:
@@ -284,41 +250,6 @@ class Fleet:
         speed = member.target_speed or min(limit * member.speed_factor, member.max_speed)
         self._table["goal_speed"][row] = min(max(speed, MIN_TARGET_SPEED), MAX_TARGET_SPEED)
 
-    def _match_speed(self, vehicle: str, member: Member, row: int, node: int) -> None:
-        """SUMO clamps the speed it reports to lane limit x factor: keep that above ours."""
-        if node < 0:
-            return
-        limit = self._road.network.lanes[int(self._road.graph.node_lane[node])].speed_limit
-        factor = max(member.speed_factor, 1.0005 * float(self._table["speed"][row]) / max(limit, 0.1))
-        if abs(factor - member.set_factor) > 1e-4:
-            self._api.vehicle.setSpeedFactor(vehicle, factor)
-            member.set_factor = factor
-
-    def _towards_lane(self, at: tuple[float, float], row: int, node: int) -> tuple[float, float]:
-        """The position nearest to ``at`` that SUMO still counts as on the lane.
-
-        Others do not see a vehicle that is on none of SUMO's lanes. That happens beside the road, but also
-        where SUMO's lanes jump sideways at a junction and ours are smooth. Our own pose stays as it is.
-        """
-        if node < 0:
-            return at
-        index = int(self._road.graph.node_lane[node])
-        lane = self._road.network.lanes[index]
-        best = (np.inf, at, 0.0)
-        for name in (*(part for part, _ in lane.parts), lane.id):
-            x, y = nearest_on_line(self._sumo_shape(name), at)
-            best = min(best, (float(np.hypot(at[0] - x, at[1] - y)), (x, y), lane.width))
-        distance, (x, y), width = best
-        reach = 0.4 * (width + float(self._table["width"][row]))
-        if distance <= reach:
-            return at
-        return x + (at[0] - x) * reach / distance, y + (at[1] - y) * reach / distance
-
-    def _sumo_shape(self, lane: str) -> np.ndarray:
-        if lane not in self._shapes:
-            self._shapes[lane] = np.array([p[:2] for p in self._api.lane.getShape(lane)], np.float64)
-        return self._shapes[lane]
-
     def _arrives(self, member: Member, node: int, front_x: float, front_y: float) -> bool:
         """The new pose is past the end of the last lane of the route."""
         if member.leads_off or node < 0:
@@ -377,13 +308,3 @@ class Fleet:
             if time - member.edge_contact > EDGE_CONTACT_APART:
                 self.off_road += 1
             member.edge_contact = time
-
-
-def nearest_on_line(line: np.ndarray, at: tuple[float, float]) -> tuple[float, float]:
-    """Point of a polyline [P, 2] nearest to a position."""
-    a, b = line[:-1], line[1:]
-    along = b - a
-    share = ((at - a) * along).sum(1) / np.maximum((along * along).sum(1), 1e-12)
-    points = a + np.clip(share, 0.0, 1.0)[:, None] * along
-    nearest = points[np.hypot(*(points - at).T).argmin()]
-    return float(nearest[0]), float(nearest[1])

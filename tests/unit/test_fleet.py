@@ -9,7 +9,7 @@ import torch
 from phase_sumo.bridge.choice import Choice
 from phase_sumo.bridge.contacts import ContactMonitor, write_contacts
 from phase_sumo.bridge.conventions import shape_from_type
-from phase_sumo.bridge.fleet import nearest_on_line
+from phase_sumo.bridge.pose import nearest_on_line
 from phase_sumo.bridge.table import VehicleTable
 from phase_sumo.config import SimConfig
 from phase_sumo.errors import PhaseError

@@ -1,0 +1,83 @@
+"""Tells SUMO where a vehicle under the policy will be after its next step."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import numpy as np
+
+from phase_sumo.bridge.member import Member
+from phase_sumo.bridge.road import Road
+from phase_sumo.bridge.table import VehicleTable
+
+MOVE = 2  # moveToXY keepRoute: exact position, any road
+MATCH = 10.0  # m within which SUMO looks for the lane
+
+
+class PoseWriter:
+    """Writes poses with moveToXY, with what SUMO needs around it to report them unchanged."""
+
+    def __init__(self, api: ModuleType, road: Road, table: VehicleTable) -> None:
+        self._api, self._road, self._table = api, road, table
+        self._shapes: dict[str, np.ndarray] = {}
+
+    def write(
+        self, vehicle: str, member: Member, node: int, front: tuple[float, float], angle: float, time: float
+    ) -> None:
+        """Place a vehicle.
+
+        Args:
+            node: of the front bumper, -1 off the road.
+            front: front bumper centre in m.
+            angle: SUMO's, in degrees.
+        """
+        row = self._table.row_of[vehicle]
+        self._match_speed(vehicle, member, row, node)
+        if time < member.off_lane_until:
+            front = self._towards_lane(front, row, node)
+        self._api.vehicle.moveToXY(vehicle, "", -1, *front, angle, MOVE, MATCH)
+
+    def _match_speed(self, vehicle: str, member: Member, row: int, node: int) -> None:
+        """SUMO clamps the speed it reports to lane limit x factor: keep that above ours."""
+        if node < 0:
+            return
+        limit = self._road.network.lanes[int(self._road.graph.node_lane[node])].speed_limit
+        factor = max(member.speed_factor, 1.0005 * float(self._table["speed"][row]) / max(limit, 0.1))
+        if abs(factor - member.set_factor) > 1e-4:
+            self._api.vehicle.setSpeedFactor(vehicle, factor)
+            member.set_factor = factor
+
+    def _towards_lane(self, at: tuple[float, float], row: int, node: int) -> tuple[float, float]:
+        """The position nearest to ``at`` that SUMO still counts as on the lane.
+
+        Others do not see a vehicle that is on none of SUMO's lanes. That happens beside the road, but also
+        where SUMO's lanes jump sideways at a junction and ours are smooth. Our own pose stays as it is.
+        """
+        if node < 0:
+            return at
+        index = int(self._road.graph.node_lane[node])
+        lane = self._road.network.lanes[index]
+        best = (np.inf, at, 0.0)
+        for name in (*(part for part, _ in lane.parts), lane.id):
+            x, y = nearest_on_line(self._sumo_shape(name), at)
+            best = min(best, (float(np.hypot(at[0] - x, at[1] - y)), (x, y), lane.width))
+        distance, (x, y), width = best
+        reach = 0.4 * (width + float(self._table["width"][row]))
+        if distance <= reach:
+            return at
+        return x + (at[0] - x) * reach / distance, y + (at[1] - y) * reach / distance
+
+    def _sumo_shape(self, lane: str) -> np.ndarray:
+        if lane not in self._shapes:
+            self._shapes[lane] = np.array([p[:2] for p in self._api.lane.getShape(lane)], np.float64)
+        return self._shapes[lane]
+
+
+def nearest_on_line(line: np.ndarray, at: tuple[float, float]) -> tuple[float, float]:
+    """Point of a polyline [P, 2] nearest to a position."""
+    a, b = line[:-1], line[1:]
+    along = b - a
+    share = ((at - a) * along).sum(1) / np.maximum((along * along).sum(1), 1e-12)
+    points = a + np.clip(share, 0.0, 1.0)[:, None] * along
+    nearest = points[np.hypot(*(points - at).T).argmin()]
+    return float(nearest[0]), float(nearest[1])
