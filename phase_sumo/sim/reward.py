@@ -41,8 +41,8 @@ def rewards(
 ) -> dict[str, Tensor]:
     """The signed terms of R_i by name, each [W, N]; their sum is the reward.
 
-    R = R_g + R_l - R_f - R_e - R_t - R_a - R_s + R_p. The two terms with a dimension, R_t and R_s, count
-    in the configuration's distance and speed units; progress is a time in seconds.
+    R = R_g + R_l - R_f - R_e - R_t - R_a - R_s + R_p. All in SI units, except
+    that R_t counts the distance to the goal in ``config.distance_unit``.
     """
     distance = _distance(after, task)
     safe_speed = after.speed.clamp_min(sim.min_speed)
@@ -57,7 +57,7 @@ def rewards(
         * distance
         / config.distance_unit,
         "alignment": -config.alignment * alignment(after, task, distance, safe_speed, config),
-        "speed": -config.speed * (after.speed - task.goal_speed).abs() / config.speed_unit,
+        "speed": -config.speed * (after.speed - task.goal_speed).abs(),
         "progress": config.progress
         * multipliers.progress
         * progress(_distance(before, task), distance, safe_speed, config),

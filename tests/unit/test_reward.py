@@ -15,7 +15,7 @@ from phase_sumo.sim.reward import Multipliers, alignment, goal_quality, progress
 from tests.factories import column, task_to, vehicle_state
 
 SIM = SimConfig()
-SI = RewardConfig(distance_unit=1.0, speed_unit=1.0)
+SI = RewardConfig(distance_unit=1.0)
 
 
 def events(**happened: bool) -> Events:
@@ -68,9 +68,6 @@ def test_goal_reward_and_its_quality():
 
 def test_speed_and_lane_terms():
     assert terms(after=vehicle_state(x=10.0, speed=17.0))["speed"] == pytest.approx(-0.07 * 3.0)
-    assert terms(RewardConfig(), after=vehicle_state(x=10.0, speed=17.0))["speed"] == pytest.approx(
-        -0.07 * 0.03
-    )
     assert terms()["lane"] == pytest.approx(0.005)
     assert terms(lane_boundary=True)["lane"] == 0.0
 
