@@ -12,7 +12,6 @@ deterministic: netconvert's comment with time and options is removed.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import math
 import re
 import subprocess
@@ -26,11 +25,15 @@ import sumolib
 HERE = Path(__file__).resolve().parent
 LANE_WIDTH = 3.66  # m
 MAIN_SPEED = 29.0  # m/s
-TYPES = """<types>
-    <type id="highway.motorway" priority="14" numLanes="3" speed="29.00" width="3.66" oneway="1" allow="{0}"/>
-    <type id="highway.motorway_link" priority="9" numLanes="1" speed="17.00" width="3.66" oneway="1" allow="{0}"/>
+CLASSES = (
+    "private emergency authority army vip passenger hov taxi bus coach delivery truck trailer motorcycle"
+)
+LANES = f'width="{LANE_WIDTH}" oneway="1" allow="{CLASSES}"'
+TYPES = f"""<types>
+    <type id="highway.motorway" priority="14" numLanes="3" speed="29.00" {LANES}/>
+    <type id="highway.motorway_link" priority="9" numLanes="1" speed="17.00" {LANES}/>
 </types>
-""".format("private emergency authority army vip passenger hov taxi bus coach delivery truck trailer motorcycle")
+"""
 
 
 @dataclass(frozen=True)
@@ -84,12 +87,13 @@ class Section:
 
 @dataclass(frozen=True)
 class Spec:
-    """One network; ``held_out`` ones never enter training."""
+    """One network; ``held_out`` ones never enter training. Lengths and radii in m, speeds in m/s."""
 
     name: str
     sections: tuple[Section, ...]
     pieces: tuple[tuple[float, float], ...] = ((1.0, 0.0),)
     yaw: float = 0.0
+    speed: float = MAIN_SPEED
     ramp_speed: float = 17.0
     ramp_length: float = 180.0
     ramp_radius: float = 180.0
@@ -137,7 +141,7 @@ class PlainNetwork:
         self.nodes.append(f'    <node id={quoteattr(name)} x="{at[0]:.2f}" y="{at[1]:.2f}" type="priority"/>')
 
     def edge(self, name, ends, lanes, speed, line, ramp=False, acceleration=()) -> None:
-        """``line``: points of the left border (mainline) or the centre (ramp); ``acceleration``: lane numbers."""
+        """``line``: the left border (mainline) or the centre (ramp); ``acceleration``: lane numbers."""
         shape = " ".join(f"{x:.2f},{y:.2f}" for x, y in line)
         kind, spread = ("highway.motorway_link", "center") if ramp else ("highway.motorway", "right")
         lane_tags = "".join(f'<lane index="{i}" acceleration="1"/>' for i in acceleration)
@@ -198,7 +202,7 @@ def _mainline(net: PlainNetwork, spec: Spec, road: Alignment, starts: list[float
         f"main{i}",
         (f"n{i}", f"n{i + 1}"),
         section.lanes,
-        MAIN_SPEED,
+        spec.speed,
         road.line(starts[i], starts[i + 1]),
         acceleration=range(max(ending, 0)) if section.on_ramp else (),
     )
@@ -242,11 +246,20 @@ def netconvert(paths: dict[str, Path], output: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         types, raw = Path(folder) / "types.typ.xml", Path(folder) / "raw.net.xml"
         types.write_text(TYPES)
-        command = [sumolib.checkBinary("netconvert"), "--node-files", paths["nod"], "--edge-files", paths["edg"]]
-        command += ["--connection-files", paths["con"], "--type-files", types, "--output-file", raw]
-        command += ["--no-turnarounds", "--junctions.limit-turn-speed", "-1", "--offset.disable-normalization"]
-        command += ["--junctions.corner-detail", "0", "--xml-validation", "never"]
-        subprocess.run([str(part) for part in command], check=True, stdout=subprocess.DEVNULL)
+        options = {
+            "node-files": paths["nod"],
+            "edge-files": paths["edg"],
+            "connection-files": paths["con"],
+            "type-files": types,
+            "output-file": raw,
+            "no-turnarounds": "true",
+            "junctions.limit-turn-speed": "-1",
+            "junctions.corner-detail": "0",
+            "offset.disable-normalization": "true",
+            "xml-validation": "never",
+        }
+        command = [sumolib.checkBinary("netconvert"), *(f"--{key}={value}" for key, value in options.items())]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         text = raw.read_text(encoding="utf-8")
     output.write_text(re.sub(r"<!--.*?-->\n*", "", text, flags=re.DOTALL), encoding="utf-8")
 
@@ -267,9 +280,11 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="networks to generate (default: all)")
     parser.add_argument("--out", type=Path, default=HERE, help="folder to write to (default: this one)")
     args = parser.parse_args()
-    for spec in SPECS:
-        if not args.names or spec.name in args.names:
-            print(generate(dataclasses.replace(spec), args.out))
+    known = {spec.name: spec for spec in SPECS}
+    if unknown := [name for name in args.names if name not in known]:
+        parser.error(f"no network {', '.join(unknown)}; choose from {', '.join(known)}")
+    for name in args.names or known:
+        print(generate(known[name], args.out))
 
 
 if __name__ == "__main__":

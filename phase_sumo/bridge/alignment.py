@@ -12,6 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_sumo.bridge.lines import (
+    arc_length,
+    corners,
+    direction,
+    heading,
+    hermite,
+    normals,
+    resample,
+    rounded,
+    without_duplicates,
+    wrap,
+)
 from phase_sumo.bridge.net_xml import XmlLane
 
 FloatArray = NDArray[np.float64]
@@ -20,6 +32,9 @@ BLEND = 15.0, 30.0  # m, shortest and longest blend at either side of a junction
 BLEND_PER_METRE = 16.0  # m of blend per metre of sideways shift
 RIGID = 40.0  # m: a shorter lane has no room for two blends and moves as a whole
 COINCIDE = 0.5  # m: lanes whose ends are closer need no connector
+TIGHT = 0.1  # rad/m that a connector turns at most; the lanes take the rest of a corner
+SAME_ROAD = 1.2  # rad: larger turns at a junction are turns into another road
+CORNER = 0.15  # rad: a connector with a sharper corner is drawn anew
 
 
 @dataclass(frozen=True)
@@ -32,65 +47,54 @@ class Connector:
     line: FloatArray | None = None
 
 
-def without_duplicates(points: FloatArray, closer: float = 0.02) -> FloatArray:
-    """Points without those closer than ``closer`` m to the one before; the last point stays."""
-    keep = [0]
-    for i in range(1, len(points)):
-        if np.hypot(*(points[i] - points[keep[-1]])) > closer:
-            keep.append(i)
-    if keep[-1] != len(points) - 1 and len(keep) > 1:
-        keep[-1] = len(points) - 1
-    return points[keep]
-
-
-def arc_length(points: FloatArray) -> FloatArray:
-    """[P] distance of each point from the first along the line, in m."""
-    return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
-
-
-def resample(points: FloatArray, step: float) -> FloatArray:
-    """The same line with points about ``step`` m apart; its own corners are kept only by chance."""
-    s = arc_length(points)
-    wanted = np.linspace(0.0, s[-1], max(1, round(s[-1] / step)) + 1)
-    return np.stack([np.interp(wanted, s, points[:, k]) for k in (0, 1)], axis=-1)
-
-
-def hermite(start: FloatArray, end: FloatArray, start_dir: FloatArray, end_dir: FloatArray) -> FloatArray:
-    """Cubic from ``start`` to ``end`` tangent to the unit directions there, points about 1 m apart."""
-    reach = float(np.hypot(*(end - start)))
-    t = np.linspace(0.0, 1.0, max(2, round(reach)) + 1)[:, None]
-    h00, h10 = 2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t
-    h01, h11 = -2 * t**3 + 3 * t**2, t**3 - t**2
-    return h00 * start + h10 * reach * start_dir + h01 * end + h11 * reach * end_dir
-
-
-def direction(points: FloatArray, at_end: bool, over: float = 3.0) -> FloatArray:
-    """Unit direction of a line over its first or last ``over`` metres."""
-    line = points if at_end else points[::-1]
-    s = arc_length(line)
-    back = max(s[-1] - over, 0.0)
-    other = np.array([np.interp(back, s, line[:, k]) for k in (0, 1)])
-    delta = (line[-1] - other) if at_end else (other - line[-1])
-    return delta / np.hypot(*delta)
-
-
 def align(
-    lines: list[FloatArray], connectors: list[Connector]
+    lines: list[FloatArray], connectors: list[Connector], abreast: list[tuple[int, int]]
 ) -> tuple[list[FloatArray], list[Connector], int]:
-    """Move lane ends until no connector jumps sideways, then draw the connectors.
+    """Round corners, move lane ends until no connector jumps sideways, then draw the connectors.
+
+    Args:
+        lines: [P, 2] centre line of every lane.
+        connectors: between the lanes, not drawn yet.
+        abreast: pairs of lanes next to each other, which move together where their connectors allow it.
 
     Returns:
         lines, connectors with their ``line``, and how many connections had a jump.
     """
+    yaws = _end_yaws(lines, connectors)
+    lines = [rounded(line, yaws[2 * i], yaws[2 * i + 1]) for i, line in enumerate(lines)]
     jumps = np.array([_jump(lines, c) for c in connectors])
     moved = int((np.abs(jumps) > JUMP).sum())
     if moved:
-        shifts = _shifts(lines, connectors, jumps)
-        lines = [
-            _shifted(line, shifts[2 * i], shifts[2 * i + 1]) for i, line in enumerate(lines)
-        ]
+        shifts = _shifts(lines, connectors, jumps, abreast)
+        lines = [_shifted(line, shifts[2 * i], shifts[2 * i + 1]) for i, line in enumerate(lines)]
     drawn = [_drawn(lines, c, bool(abs(jump) > JUMP)) for c, jump in zip(connectors, jumps, strict=True)]
     return lines, drawn, moved
+
+
+def _end_yaws(lines: list[FloatArray], connectors: list[Connector]) -> FloatArray:
+    """[2 * lanes] direction in rad of every lane's start (even) and end (odd).
+
+    Where a road has a corner at a junction that is sharper than its connector can turn, the two lanes
+    share the rest, so that the corner is rounded on both sides. The straightest connection of a fork or
+    merge decides first; the other lanes then leave or join along it.
+    """
+    yaws = np.empty(2 * len(lines))
+    yaws[0::2] = [heading(line[1] - line[0]) for line in lines]
+    yaws[1::2] = [heading(line[-1] - line[-2]) for line in lines]
+    own, decided = yaws.copy(), np.zeros(len(yaws), bool)
+    ends = [(2 * c.source + 1, 2 * c.target) for c in connectors]
+    turns = np.array([wrap(float(own[b] - own[a])) for a, b in ends])
+    for k in np.argsort(np.abs(turns), kind="stable"):
+        (a, b), c = ends[k], connectors[k]
+        reach = float(np.hypot(*(lines[c.target][0] - lines[c.source][-1])))
+        turn = wrap(float(yaws[b] - yaws[a]))
+        excess = float(np.sign(turn)) * max(abs(turn) - TIGHT * reach, 0.0)
+        if abs(turns[k]) < SAME_ROAD and not (decided[a] and decided[b]):
+            share = 0.5 if decided[a] == decided[b] else float(decided[b])
+            yaws[a] += share * excess
+            yaws[b] -= (1.0 - share) * excess
+        decided[[a, b]] = True
+    return yaws
 
 
 def _jump(lines: list[FloatArray], c: Connector) -> float:
@@ -109,18 +113,24 @@ def _jump(lines: list[FloatArray], c: Connector) -> float:
     return 0.0 if along > BLEND_PER_METRE * abs(across) else across
 
 
-def _shifts(lines: list[FloatArray], connectors: list[Connector], jumps: NDArray[np.float64]) -> FloatArray:
+def _shifts(
+    lines: list[FloatArray],
+    connectors: list[Connector],
+    jumps: NDArray[np.float64],
+    abreast: list[tuple[int, int]],
+) -> FloatArray:
     """[2 * lanes] sideways shift of every lane's start (even) and end (odd), positive left.
 
     Lane ends that are connected form groups that move rigidly against each other, joined in the order of
-    the smallest jump, so that the straight-on connection decides where a lane also forks. Each group is
-    then placed where its lanes move least.
+    the smallest jump, so that the straight-on connection decides where a lane also forks. Lanes abreast
+    then join their groups, and each group is placed where its lanes move least.
     """
     offset = np.zeros(2 * len(lines))
     group = np.arange(2 * len(lines))
     ties = [(2 * i, 2 * i + 1, 0.0) for i, line in enumerate(lines) if arc_length(line)[-1] < RIGID]
     order = np.argsort(np.abs(jumps), kind="stable")
     ties += [(2 * connectors[k].source + 1, 2 * connectors[k].target, -float(jumps[k])) for k in order]
+    ties += [(2 * i + end, 2 * j + end, 0.0) for i, j in abreast for end in (0, 1)]
     for a, b, step in ties:
         if group[a] == group[b]:
             continue
@@ -129,10 +139,7 @@ def _shifts(lines: list[FloatArray], connectors: list[Connector], jumps: NDArray
         group[members] = group[a]
     for g in np.unique(group):
         members = group == g
-        low, high = np.percentile(offset[members], [50, 50], method="lower"), np.percentile(
-            offset[members], [50, 50], method="higher"
-        )
-        offset[members] -= 0.5 * (low[0] + high[0])
+        offset[members] -= np.median(offset[members])
     return offset
 
 
@@ -146,10 +153,9 @@ def _shifted(line: FloatArray, at_start: float, at_end: float) -> FloatArray:
         weight = _smooth(s / s[-1])
         shift = at_start * (1 - weight) + at_end * weight
     else:
-        shift = at_start * _smooth(1 - s / _blend(at_start)) + at_end * _smooth(1 - (s[-1] - s) / _blend(at_end))
-    tangent = np.gradient(fine, axis=0)
-    tangent /= np.hypot(*tangent.T)[:, None]
-    return fine + shift[:, None] * np.stack((-tangent[:, 1], tangent[:, 0]), axis=-1)
+        shift = at_start * _smooth(1 - s / _blend(at_start))
+        shift += at_end * _smooth(1 - (s[-1] - s) / _blend(at_end))
+    return fine + shift[:, None] * normals(fine)
 
 
 def _blend(shift: float) -> float:
@@ -176,7 +182,4 @@ def _drawn(lines: list[FloatArray], c: Connector, jumped: bool) -> Connector:
 
 
 def _straight_enough(line: FloatArray) -> bool:
-    """No corner sharper than a heading change of 0.15 rad."""
-    delta = np.diff(line, axis=0)
-    yaw = np.unwrap(np.arctan2(delta[:, 1], delta[:, 0]))
-    return bool((np.abs(np.diff(yaw)) < 0.15).all())
+    return bool((np.abs(corners(line)) < CORNER).all())

@@ -10,11 +10,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from phase_sumo.bridge.alignment import arc_length
+from phase_sumo.bridge.lines import arc_length
 from phase_sumo.bridge.map_picture import draw_map
+from phase_sumo.bridge.net_xml import network_name
 from phase_sumo.bridge.network import read_network
 from phase_sumo.bridge.road_lines import road_lines
 from phase_sumo.config import ScenarioConfig
+from phase_sumo.errors import PhaseError
 from phase_sumo.sim.bundle import MapBundle, save_bundle
 from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
@@ -49,7 +51,11 @@ def convert(
 
     Returns:
         Per network: name, lanes, lane_km, nodes, links, pairs, lane_change_pairs, seconds, warnings.
+
+    Raises:
+        PhaseError: a network cannot be read, or two would be written to the same file.
     """
+    _check_names(paths)
     out_dir = Path(out_dir)
     out_dir.mkdir(parents=True, exist_ok=True)
     results = []
@@ -66,6 +72,18 @@ def convert(
         found = [*network.warnings, *(str(w.message) for w in caught)]
         results.append(_summary(network, bundle, time.perf_counter() - begin, found))
     return results
+
+
+def _check_names(paths: Sequence[str | Path]) -> None:
+    first: dict[str, Path] = {}
+    for path in map(Path, paths):
+        name = network_name(path)
+        if name in first:
+            raise PhaseError(
+                f"{first[name]} and {path} would both be written to {name}.npz; "
+                "rename one or convert them into different folders"
+            )
+        first[name] = path
 
 
 def _summary(network: LaneNetwork, bundle: MapBundle, seconds: float, found: list[str]) -> dict[str, Any]:

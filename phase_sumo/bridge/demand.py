@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from lxml import etree
+from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 
 from phase_sumo.errors import PhaseError
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
@@ -18,6 +20,15 @@ COLOURS = {
     RoadKind.LANE_BOUNDARY: "#9fd3f2",
     RoadKind.SOLID_BOUNDARY: "#3f9bd1",
 }
+WIDTH = 16.0  # inches
+HEIGHTS = 1.2, 16.0  # inches, of one panel
+LABELS = 0.6  # inches of height for ticks and labels of a panel
+TALLEST = 32.0  # inches, of the picture
+MARGIN = 15.0  # m around the lanes
+PANEL = 600.0  # m of road per panel: a lane is then about ten pixels wide
+MOST_PANELS = 8
+FLAT = 0.5  # a long map is cut into panels where it is at most this high for its width
+View = tuple[float, float, float, float]  # x0, x1, y0, y1 in m
 
 
 def draw_map(
@@ -25,47 +36,91 @@ def draw_map(
     path: str | Path,
     pairs: int = 60,
     regime: int = 1,
-    view: tuple[float, float, float, float] | None = None,
+    view: View | None = None,
     seed: int = 0,
 ) -> None:
     """Write a PNG: road edges red, lane boundaries light blue, centres gray, starts red, goals green.
 
+    A map longer than `PANEL` gets a panel per stretch below the overview, or lanes could not be told apart.
+
     Args:
         bundle: the map.
         path: file to write.
-        pairs: start-goal pairs shown, joined by blue lines.
+        pairs: start-goal pairs shown per stretch, joined by blue lines.
         regime: pool to take them from.
         view: x0, x1, y0, y1 in m to zoom on; the whole map by default.
         seed: of the choice of pairs.
     """
-    low, high = bundle.graph.node_xy.min(0) - 15.0, bundle.graph.node_xy.max(0) + 15.0
-    x0, x1, y0, y1 = view if view is not None else (low[0], high[0], low[1], high[1])
-    scale = 16.0 / max(x1 - x0, y1 - y0)
-    figure = Figure(figsize=(max(4.0, scale * (x1 - x0)), max(4.0, scale * (y1 - y0))), dpi=110)
-    axes = figure.add_axes((0.05, 0.05, 0.93, 0.9))
-    _draw_road(axes, bundle)
-    _draw_pairs(axes, bundle, pairs, regime, seed)
-    axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", title=bundle.name, xlabel="x in m", ylabel="y in m")
-    figure.savefig(path)
+    views = [view] if view is not None else _views(bundle.graph.node_xy)
+    size, heights = _sizes(views)
+    figure = Figure(size, dpi=110, layout="constrained")
+    panels = np.atleast_1d(figure.subplots(len(views), 1, height_ratios=heights))
+    links = _links(bundle, pairs * max(1, len(views) - 1), regime, seed)
+    for i, (axes, (x0, x1, y0, y1)) in enumerate(zip(panels, views, strict=True)):
+        _draw_road(axes, bundle)
+        if i > 0 or len(views) == 1:  # the overview of a long map would only show a band of dots
+            _draw_links(axes, links)
+        axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", ylabel="y in m")
+    panels[0].set_title(bundle.name)
+    panels[-1].set_xlabel("x in m")
+    _save(figure, Path(path))
 
 
-def _draw_road(axes, bundle: MapBundle) -> None:
+def _save(figure: Figure, path: Path) -> None:
+    """The file appears complete or not at all."""
+    temporary = path.with_name(f".{path.name}.tmp")
+    try:
+        figure.savefig(temporary, format="png")
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _views(xy: np.ndarray) -> list[View]:
+    """The whole map, followed by stretches of a long and flat one."""
+    x0, y0 = (float(v) for v in xy.min(0) - MARGIN)
+    x1, y1 = (float(v) for v in xy.max(0) + MARGIN)
+    views = [(x0, x1, y0, y1)]
+    count = int(np.ceil((x1 - x0) / PANEL))
+    if count > 1 and y1 - y0 <= FLAT * (x1 - x0) and count <= MOST_PANELS:
+        borders = np.linspace(x0, x1, count + 1)
+        for left, right in pairwise(borders):
+            inside = xy[(xy[:, 0] >= left) & (xy[:, 0] <= right), 1]
+            if len(inside):
+                low, high = float(inside.min()) - MARGIN, float(inside.max()) + MARGIN
+                views.append((float(left), float(right), low, high))
+    return views
+
+
+def _sizes(views: list[View]) -> tuple[tuple[float, float], list[float]]:
+    """Width and height of the picture and height of each panel, in inches: as much as its road needs."""
+    shapes = [(y1 - y0) / (x1 - x0) for x0, x1, y0, y1 in views]
+    width = WIDTH if len(views) > 1 else float(np.clip(HEIGHTS[1] / shapes[0], 0.3 * WIDTH, WIDTH))
+    heights = [float(np.clip(width * shape, *HEIGHTS)) + LABELS for shape in shapes]
+    shrink = min(1.0, TALLEST / sum(heights))
+    return (width * shrink, sum(heights) * shrink), heights
+
+
+def _draw_road(axes: Axes, bundle: MapBundle) -> None:
     road = bundle.road_map
     centre = road.point_xy[road.point_kind == RoadKind.LANE_CENTRE].numpy()
-    axes.plot(centre[:, 0], centre[:, 1], ".", color="#8c8c8c", markersize=1.5)
+    axes.plot(centre[:, 0], centre[:, 1], ".", color="#8c8c8c", markersize=2.0)
     kinds = road.segment_kind.numpy()[:-1]
     segments = road.segment.numpy()[:-1].reshape(-1, 2, 2)
     for kind, colour in COLOURS.items():
         axes.add_collection(LineCollection(list(segments[kinds == kind]), colors=colour, linewidths=1.2))
 
 
-def _draw_pairs(axes, bundle: MapBundle, pairs: int, regime: int, seed: int) -> None:
+def _links(bundle: MapBundle, count: int, regime: int, seed: int) -> np.ndarray:
+    """[n, 2, 2] start and goal of randomly chosen pairs, in m."""
     pool = bundle.pools[regime]
-    if pairs == 0 or len(pool.start) == 0:
-        return
-    chosen = np.random.default_rng(seed).choice(len(pool.start), min(pairs, len(pool.start)), replace=False)
-    start, goal = bundle.graph.node_xy[pool.start[chosen]], bundle.graph.node_xy[pool.goal[chosen]]
-    links = list(np.stack((start, goal), axis=1))
-    axes.add_collection(LineCollection(links, colors="#1f4ed8", linewidths=0.5, alpha=0.6))
-    axes.plot(start[:, 0], start[:, 1], ".", color="#d62728", markersize=5)
-    axes.plot(goal[:, 0], goal[:, 1], ".", color="#2ca02c", markersize=5)
+    chosen = np.random.default_rng(seed).permutation(len(pool.start))[:count]
+    xy = bundle.graph.node_xy
+    return np.stack((xy[pool.start[chosen]], xy[pool.goal[chosen]]), axis=1)
+
+
+def _draw_links(axes: Axes, links: np.ndarray) -> None:
+    axes.add_collection(LineCollection(list(links), colors="#1f4ed8", linewidths=0.5, alpha=0.6))
+    for end, colour in ((0, "#d62728"), (1, "#2ca02c")):
+        axes.plot(links[:, end, 0], links[:, end, 1], ".", color=colour, markersize=5)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from lxml import etree
+from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 from numpy.typing import NDArray
 
 from phase_sumo.errors import PhaseError
@@ -57,6 +57,14 @@ class XmlNet:
     left_hand: bool
 
 
+def network_name(path: Path) -> str:
+    """The file name without ``.net.xml`` and the like: ``a10.v2.net.xml.gz`` -> ``a10.v2``."""
+    name = path.name
+    for ending in (".gz", ".xml", ".net"):
+        name = name.removesuffix(ending)
+    return name or path.name
+
+
 def parse_net(path: Path) -> XmlNet:
     """Read a network file, gzipped or not."""
     root = _root(path)
@@ -86,7 +94,7 @@ def _root(path: Path) -> etree._Element:
             data = gzip.decompress(data)
         root = etree.fromstring(data, etree.XMLParser(huge_tree=True, resolve_entities=False))
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise PhaseError(f"{path}: the gzip stream is damaged ({error}); copy or compress it again") from error
+        raise PhaseError(f"{path}: damaged gzip file ({error}); copy or compress it again") from error
     except etree.XMLSyntaxError as error:
         raise PhaseError(f"{path}: not well-formed XML ({error}); write it again with netconvert") from error
     except OSError as error:

@@ -7,14 +7,18 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import shapely
+from shapely.geometry import LineString
 
-from phase_sumo.bridge.alignment import Connector, align, without_duplicates
-from phase_sumo.bridge.net_xml import XmlLane, XmlNet, parse_net
+from phase_sumo.bridge.alignment import Connector, align
+from phase_sumo.bridge.lines import heading, without_duplicates, wrap
+from phase_sumo.bridge.net_xml import XmlLane, XmlNet, network_name, parse_net
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 
 FREEWAY_SPEED = 16.7  # m/s: an edge without a road class counts as freeway from here on
 RAMP_SPEED = 11.0  # m/s: and, joined to such an edge, as its ramp from here on
+TURNAROUND = 2.2, 20.0  # rad within m: a connection that turns back, which no vehicle of ours drives
 FREEWAY_CLASSES = ("motorway", "trunk")
 
 
@@ -36,7 +40,9 @@ def read_network(path: str | Path, keep: Literal["freeway", "all"] = "freeway") 
     if not drivable:
         raise PhaseError(f"{path}: no lane allows cars or trucks; check the lanes' allow/disallow")
     kept = {k: v for k, v in drivable.items() if without_duplicates(v.points).shape[0] >= 2}
-    warnings = [f"{len(drivable) - len(kept)} lanes without extent left out"] if len(kept) < len(drivable) else []
+    warnings = []
+    if len(kept) < len(drivable):
+        warnings.append(f"{len(drivable) - len(kept)} lanes without extent left out")
     if keep == "freeway":
         chosen = freeway_edges(kept, net)
         if not chosen:
@@ -48,7 +54,7 @@ def read_network(path: str | Path, keep: Literal["freeway", "all"] = "freeway") 
         if dropped:
             warnings.append(f"{dropped} of {len(kept)} lanes are not freeway, left out")
         kept = {k: v for k, v in kept.items() if v.edge in chosen}
-    return _assemble(path.name.split(".")[0], net, kept, drivable, warnings)
+    return _assemble(network_name(path), net, kept, drivable, warnings)
 
 
 def freeway_edges(lanes: dict[str, XmlLane], net: XmlNet) -> set[str]:
@@ -85,16 +91,26 @@ def _assemble(
 ) -> LaneNetwork:
     ids = sorted(kept, key=lambda k: (kept[k].edge, kept[k].index))
     index = {lane_id: i for i, lane_id in enumerate(ids)}
-    connectors = _connectors(net, index)
     lines = [without_duplicates(kept[k].points) for k in ids]
-    lines, connectors, moved = align(lines, connectors)
+    connectors = _connectors(net, index)
+    forward = [c for c in connectors if not _turns_back(lines[c.source], lines[c.target])]
+    if len(forward) < len(connectors):
+        warnings.append(f"{len(connectors) - len(forward)} turnarounds left out")
+    connectors = forward
+    beside = [(kept[k], f"{kept[k].edge}_{kept[k].index + 1}") for k in ids]
+    abreast = [(index[lane.id], index[other]) for lane, other in beside if other in index]
+    lines, connectors, moved = align(lines, connectors, abreast)
     if moved:
         warnings.append(f"{moved} connections with a sideways jump replaced by smooth curves")
-    lanes = [
-        _lane(kept[k], line, kept, index, net.left_hand) for k, line in zip(ids, lines, strict=True)
-    ]
+    lanes = [_lane(kept[k], line, kept, index, net.left_hand) for k, line in zip(ids, lines, strict=True)]
     lanes = _mark_dead_ends(lanes, net, kept, drivable, index)
     return _join(name, lanes, connectors, net.left_hand, tuple(warnings))
+
+
+def _turns_back(before: np.ndarray, after: np.ndarray) -> bool:
+    turn = wrap(heading(after[1] - after[0]) - heading(before[-1] - before[-2]))
+    reach = float(np.hypot(*(after[0] - before[-1])))
+    return abs(turn) > TURNAROUND[0] and reach < TURNAROUND[1]
 
 
 def _connectors(net: XmlNet, index: dict[str, int]) -> list[Connector]:
@@ -135,7 +151,17 @@ def _lane(
         solid_right=right[1],
         allows_car=lane.car,
         allows_truck=lane.truck,
+        positions=_positions(lane, line),
     )
+
+
+def _positions(lane: XmlLane, line: np.ndarray) -> np.ndarray | None:
+    """SUMO's lane position where ``line`` was smoothed: that of the nearest point of SUMO's own line."""
+    if np.array_equal(line, without_duplicates(lane.points)):
+        return None
+    own = LineString(lane.points)
+    at = shapely.line_locate_point(own, shapely.points(line)) * lane.length / own.length
+    return np.maximum.accumulate(at)
 
 
 def _neighbour(
@@ -195,9 +221,7 @@ def _join(
         left = joined.get((lanes[a].left, lanes[b].left), -1)
         right = joined.get((lanes[a].right, lanes[b].right), -1)
         solid_left, solid_right = lanes[a].solid_left, lanes[a].solid_right
-        lanes[i] = replace(
-            lanes[i], left=left, right=right, solid_left=solid_left, solid_right=solid_right
-        )
+        lanes[i] = replace(lanes[i], left=left, right=right, solid_left=solid_left, solid_right=solid_right)
     return LaneNetwork(name, tuple(lanes), tuple(dict.fromkeys(successors)), left_hand, warnings)
 
 

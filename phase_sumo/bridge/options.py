@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from lxml import etree
+from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 
 from phase_sumo.bridge.demand import Rewrite, empty_settings, redirect, rewrite_files
 from phase_sumo.errors import PhaseError

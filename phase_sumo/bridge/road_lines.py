@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from shapely.geometry import LineString, MultiLineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from phase_sumo.bridge.alignment import arc_length, resample
+from phase_sumo.bridge.lines import arc_length, normals, resample, tangents
 from phase_sumo.sim.lanes import Lane, LaneNetwork
+from phase_sumo.sim.near import pairs_within
 from phase_sumo.sim.road_build import RoadLine
 from phase_sumo.sim.road_map import RoadKind
 
@@ -17,12 +18,15 @@ FloatArray = NDArray[np.float64]
 TAPER = 40.0  # m over which the border closes after a lane's end or opens before its start
 CLOSE_GAP = 0.3  # m: gaps up to twice this between lanes belong to the road
 TOLERANCE = 0.05  # m of simplification
+SEPARATE = 0.8  # m: a boundary is drawn where two lanes lie this exactly side by side
+SMALLEST_HOLE = 20.0  # m^2: smaller holes in the surface are seams between lanes, not islands
+OPPOSITE = 0.6  # m: lanes of opposite directions whose borders are closer share a divided surface
 SHORTEST_EDGE = 0.5  # m: shorter pieces of border are left-overs of cutting the open ends
 
 
 def road_lines(network: LaneNetwork) -> list[RoadLine]:
-    """Lane boundaries between lanes abreast and the border of the drivable surface."""
-    return lane_boundaries(network) + road_edges(network)
+    """Lane boundaries between lanes abreast, dividers of two-way roads, and the border of the surface."""
+    return lane_boundaries(network) + dividers(network) + road_edges(network)
 
 
 def lane_boundaries(network: LaneNetwork) -> list[RoadLine]:
@@ -35,19 +39,50 @@ def lane_boundaries(network: LaneNetwork) -> list[RoadLine]:
     for i, lane in enumerate(network.lanes):
         if lane.left < 0 and not lane.solid_left:
             continue
-        kind = (
-            RoadKind.LANE_BOUNDARY if lane.left >= 0 or i in crossed_from_left else RoadKind.SOLID_BOUNDARY
-        )
-        lines.append(RoadLine(kind, _simplified(offset(lane.points, 0.5 * lane.width))))
+        kind = RoadKind.LANE_BOUNDARY if lane.left >= 0 or i in crossed_from_left else RoadKind.SOLID_BOUNDARY
+        border = offset(lane.points, 0.5 * lane.width)
+        apart = np.ones(len(border), bool)
+        if lane.left >= 0:
+            # where a lane forks off or merges, the two are still one: no line there
+            other = network.lanes[lane.left]
+            gap = shapely.distance(shapely.points(resample(lane.points, 2.0)), LineString(other.points))
+            apart = np.abs(gap - 0.5 * (lane.width + other.width)) < SEPARATE
+        lines += [RoadLine(kind, _simplified(border[a:b])) for a, b in _runs(apart)]
     return lines
+
+
+def dividers(network: LaneNetwork) -> list[RoadLine]:
+    """Solid lines between touching lanes of opposite directions, which have no road edge between them."""
+    side = -1.0 if network.left_hand else 1.0
+    samples = [resample(lane.points, 2.0) for lane in network.lanes]
+    owner = np.repeat(np.arange(len(samples)), [len(s) for s in samples])
+    xy, along = np.concatenate(samples), np.concatenate([tangents(s) for s in samples])
+    width = np.array([lane.width for lane in network.lanes])
+    lines = []
+    for i, lane in enumerate(network.lanes):
+        inner = lane.right if network.left_hand else lane.left
+        if inner >= 0 or lane.connector:
+            continue
+        border = offset(lane.points, side * 0.5 * lane.width)
+        q, k = pairs_within(border, xy, 0.5 * float(width.max()) + OPPOSITE)
+        gap = np.abs(np.linalg.norm(border[q] - xy[k], axis=1) - 0.5 * width[owner[k]])
+        against = (tangents(border)[q] * along[k]).sum(1) < -0.7
+        near = np.zeros(len(border), bool)
+        near[q[against & (gap < OPPOSITE) & (owner[k] > i)]] = True
+        lines += [RoadLine(RoadKind.SOLID_BOUNDARY, _simplified(border[a:b])) for a, b in _runs(near)]
+    return lines
+
+
+def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Half-open ranges of at least two true entries."""
+    change = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(change[::2], change[1::2], strict=True) if b - a >= 2]
 
 
 def offset(points: FloatArray, left: float) -> FloatArray:
     """The line moved ``left`` m to its left, points about 2 m apart."""
     fine = resample(points, 2.0)
-    tangent = np.gradient(fine, axis=0)
-    tangent /= np.maximum(np.hypot(*tangent.T), 1e-9)[:, None]
-    return fine + left * np.stack((-tangent[:, 1], tangent[:, 0]), axis=-1)
+    return fine + left * normals(fine)
 
 
 def road_edges(network: LaneNetwork) -> list[RoadLine]:
@@ -75,12 +110,25 @@ def drivable_surface(network: LaneNetwork) -> BaseGeometry:
         for lane in network.lanes
     ]
     parts += tapers(network)
+    parts += [_seam(network.lanes[a], network.lanes[b]) for a, b in network.successors]
     grown = shapely.union_all(parts).buffer(CLOSE_GAP, join_style="mitre", mitre_limit=2.0)
-    return grown.buffer(-CLOSE_GAP, join_style="mitre", mitre_limit=2.0)
+    surface = grown.buffer(-CLOSE_GAP, join_style="mitre", mitre_limit=2.0)
+    return shapely.union_all([_without_small_holes(part) for part in shapely.get_parts(surface)])
+
+
+def _seam(before: Lane, after: Lane) -> BaseGeometry:
+    """Covers the wedge between the square ends of two lanes that meet at an angle."""
+    line = LineString(np.concatenate((before.points[-2:], after.points[:2])))
+    half_width = 0.5 * min(before.width, after.width)
+    return line.buffer(half_width, cap_style="flat", join_style="round", quad_segs=3)
+
+
+def _without_small_holes(surface: Polygon) -> Polygon:
+    return Polygon(surface.exterior, [r for r in surface.interiors if Polygon(r).area >= SMALLEST_HOLE])
 
 
 def tapers(network: LaneNetwork) -> list[Polygon]:
-    """Wedges that close the border beyond lanes that end, or open it before lanes that begin, within the road."""
+    """Wedges that close the border beyond lanes that end within the road, or open it before they begin."""
     onward: dict[int, int] = {}
     backward: dict[int, int] = {}
     for a, b in network.successors:
@@ -117,11 +165,9 @@ def _taper(network: LaneNetwork, lane: Lane, side: int, chain: dict[int, int], a
     line, s = line[s <= TAPER], s[s <= TAPER]
     if len(line) < 2:
         return Polygon()
-    tangent = np.gradient(line, axis=0)
-    tangent /= np.maximum(np.hypot(*tangent.T), 1e-9)[:, None]
     # the dead lane lies on the other side of the carrier; backwards lines see it mirrored
     turn = -side if at_end else side
-    normal = turn * np.stack((-tangent[:, 1], tangent[:, 0]), axis=-1)
+    normal = turn * normals(line)
     inner = line + (0.5 * carrier.width - 0.2) * normal
     outer = line + (0.5 * carrier.width + lane.width * (1 - s / s[-1]))[:, None] * normal
     return Polygon(np.concatenate((inner, outer[::-1])))

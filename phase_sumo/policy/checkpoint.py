@@ -68,6 +68,7 @@ def save_policy(path: str | Path, policy: Policy) -> None:
         name: tensor.detach().cpu().contiguous() for name, tensor in policy.network.state_dict().items()
     }
     save_file(tensors, temporary, metadata=header)
+    temporary.chmod(0o644)  # safetensors leaves it to its owner alone
     os.replace(temporary, path)
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import tempfile
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.lane_graph import LaneGraph
@@ -72,9 +74,12 @@ def load_bundle(path: str | Path) -> MapBundle:
     if not path.is_file():
         raise PhaseError(f"{path}: no such map bundle; {remedy}")
     try:
-        with np.load(path, allow_pickle=False) as data:
+        data = np.load(path, allow_pickle=False)
+        if not isinstance(data, NpzFile):
+            raise ValueError("a single array")
+        with data:
             arrays = {key: data[key] for key in data.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, EOFError, zlib.error, zipfile.BadZipFile) as error:
         raise PhaseError(f"{path}: not a readable map bundle ({error}); {remedy}") from error
     found = str(arrays["format"]) if "format" in arrays else "none"
     if found != FORMAT or tuple(arrays.get("layout", ())) != LAYOUT:

@@ -54,11 +54,15 @@ class LaneGraph:
 
 @dataclass(frozen=True)
 class _LaneNodes:
-    """Nodes of one lane: xy [n, 2], yaw [n], share of the lane's length [n] in 0..1."""
+    """Nodes of one lane: xy [n, 2], yaw [n], share of its length [n] in 0..1, lane position [n] in m."""
 
     xy: np.ndarray
     yaw: np.ndarray
     share: np.ndarray
+    position: np.ndarray
+
+    def from_second(self) -> _LaneNodes:
+        return _LaneNodes(self.xy[1:], self.yaw[1:], self.share[1:], self.position[1:])
 
 
 def build_lane_graph(network: LaneNetwork) -> LaneGraph:
@@ -75,9 +79,7 @@ def build_lane_graph(network: LaneNetwork) -> LaneGraph:
         node_yaw=yaw.astype(np.float32),
         node_curvature=curvature.astype(np.float32),
         node_lane=np.repeat(np.arange(len(lanes), dtype=np.int32), counts),
-        node_position=np.concatenate(
-            [n.share * lane.length for n, lane in zip(nodes, lanes, strict=True)]
-        ).astype(np.float32),
+        node_position=np.concatenate([n.position for n in nodes]).astype(np.float32),
         node_truck=np.repeat(np.array([lane.allows_truck for lane in lanes]), counts),
         node_upstream=_upstream(xy, successor).astype(np.float32),
         successor=successor,
@@ -96,7 +98,7 @@ def _nodes(network: LaneNetwork) -> list[_LaneNodes]:
         nodes = _lane_nodes(lane)
         gaps = [np.hypot(*(end - lane.points[0])) for end in ends.get(i, [])]
         if gaps and max(gaps) < COINCIDE:
-            nodes = _LaneNodes(nodes.xy[1:], nodes.yaw[1:], nodes.share[1:])
+            nodes = nodes.from_second()
         result.append(nodes)
     return result
 
@@ -107,7 +109,9 @@ def _lane_nodes(lane: Lane) -> _LaneNodes:
     wanted = np.linspace(0.0, s[-1], max(1, round(s[-1])) + 1)
     xy = np.stack([np.interp(wanted, s, lane.points[:, k]) for k in (0, 1)], axis=-1)
     tangent = np.gradient(xy, axis=0)
-    return _LaneNodes(xy, np.arctan2(tangent[:, 1], tangent[:, 0]), wanted / s[-1])
+    share = wanted / s[-1]
+    position = share * lane.length if lane.positions is None else np.interp(wanted, s, lane.positions)
+    return _LaneNodes(xy, np.arctan2(tangent[:, 1], tangent[:, 0]), share, position)
 
 
 def _successors(

@@ -32,6 +32,8 @@ class Lane:
         dead_start, dead_end: the lane begins or ends within the road (acceleration lane, lane drop), so a
             road edge closes it; a lane that merely has no predecessor or successor is open there.
         parts: (internal lane id, lane position where it starts in m) of a connector's chain.
+        positions: [P] SUMO's lane position of each point in m, where ``points`` are not SUMO's own line;
+            by default positions grow evenly from 0 to ``length``.
     """
 
     id: str
@@ -50,6 +52,7 @@ class Lane:
     dead_start: bool = False
     dead_end: bool = False
     parts: tuple[tuple[str, float], ...] = ()
+    positions: FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -127,8 +127,10 @@ def _lane_change(graph: LaneGraph, abreast: np.ndarray, reach: int) -> _LaneChan
     return _LaneChange(target, length, truck)
 
 
-def _advance(graph, step, target, length, truck):
-    """One node ahead in every column; a fork fills free columns."""
+def _advance(
+    graph: LaneGraph, step: np.ndarray, target: np.ndarray, length: np.ndarray, truck: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One node ahead in every column of the [V, 4] tables; a fork fills free columns."""
     rows = np.arange(len(target))
     valid = target >= 0
     fork_rows = rows[(valid & (graph.successor[target, 1] >= 0)).any(1)]

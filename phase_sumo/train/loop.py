@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 import phase_sumo
-from phase_sumo.config import TrainConfig
+from phase_sumo.config import TrainConfig, to_dict
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.synthetic import RATES, evaluate_synthetic
 from phase_sumo.policy.checkpoint import Policy, save_policy
@@ -32,6 +32,7 @@ class Trainer:
         maps: to train on; ``held_out``: never trained on, evaluated now and then (may be empty).
         folder: where everything is kept.
         resume: continue the run in ``folder``, exactly where its checkpoint was written.
+        start: begin a new run with the weights of this policy instead of random ones.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class Trainer:
         held_out: list[MapBundle],
         folder: RunFolder,
         resume: bool = False,
+        start: Policy | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
         self.config, self.held_out, self.folder = config, held_out, folder
@@ -66,6 +68,8 @@ class Trainer:
         if resume:
             self._restore(folder.load())
         else:
+            if start is not None:
+                self._begin_with(start)
             facts = {"phase_sumo": phase_sumo.__version__, "torch": torch.__version__, "networks": self.names}
             folder.start(config, facts)
 
@@ -99,7 +103,8 @@ class Trainer:
             "version": phase_sumo.__version__,
             "agent_steps": self.steps,
             "networks": self.names,
-            "seed": config.seed,
+            "value_scale": vars(self.scale),
+            "train": to_dict(config),
         }
         # held apart from the weights in training
         network = PolicyNetwork(config.network, config.actions)
@@ -120,6 +125,16 @@ class Trainer:
         }
         self.folder.save(checkpoint, self.rows)
         save_policy(self.folder.policy, self.policy())
+
+    def _begin_with(self, policy: Policy) -> None:
+        mine, theirs = (self.config.network, self.config.actions), (policy.network_config, policy.actions)
+        if mine != theirs:
+            raise PhaseError(
+                f"the policy to start from has {theirs}, this run {mine}; "
+                "train with the same network and actions"
+            )
+        self.network.load_state_dict(policy.network.state_dict())
+        vars(self.scale).update(policy.info["value_scale"])
 
     def _restore(self, stored: dict[str, Any]) -> None:
         self.network.load_state_dict(stored["network"])

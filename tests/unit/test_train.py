@@ -71,6 +71,19 @@ def test_resume_needs_a_run(straight_map, tmp_path):
         Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "nothing"), resume=True)
 
 
+def test_a_new_run_can_start_from_a_policy(straight_map, tmp_path):
+    first = Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "first"))
+    first.run()
+    policy = load_policy(tmp_path / "first" / "policy.safetensors")
+    second = Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "second"), start=policy)
+    for a, b in zip(weights(first), weights(second), strict=True):
+        assert torch.equal(a, b)
+    assert second.steps == 0 and second.scale.get() == first.scale.get()
+    wider = dataclasses.replace(TINY, network=dataclasses.replace(TINY.network, trunk=256))
+    with pytest.raises(PhaseError, match="same network"):
+        Trainer(wider, [straight_map], [], RunFolder(tmp_path / "third"), start=policy)
+
+
 def test_divergence_stops_with_the_last_checkpoint_intact(straight_map, tmp_path):
     trainer = Trainer(TINY, [straight_map], [], RunFolder(tmp_path))
     trainer.save()

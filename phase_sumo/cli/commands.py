@@ -1,0 +1,198 @@
+"""What each command does with its arguments: call the library, print a summary, return JSON types."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from pathlib import Path
+from typing import Any
+
+from phase_sumo.cli.files import DEMO, HELD_OUT, find_files, load_maps, progress_bar
+from phase_sumo.errors import PhaseError
+
+
+def convert(args: argparse.Namespace) -> Any:
+    from phase_sumo.bridge import convert as converter
+
+    with progress_bar("convert") as progress:
+        rows = converter.convert([Path(p) for p in args.networks], Path(args.out), progress)
+    for row in rows:
+        print(
+            f"{row['name']}: {row['lanes']} lanes, {row['lane_km']:.1f} km of lane, {row['nodes']} nodes, "
+            f"{row['pairs']} start-goal pairs ({row['lane_change_pairs']} with lane changes), "
+            f"{row['seconds']:.1f} s"
+        )
+        for warning in row["warnings"]:
+            print(f"  warning: {warning}")
+    return rows
+
+
+def train(args: argparse.Namespace) -> Any:
+    from dataclasses import replace
+
+    from phase_sumo.config import preset
+    from phase_sumo.policy.checkpoint import load_policy
+    from phase_sumo.train.loop import Trainer
+    from phase_sumo.train.run_folder import RunFolder
+
+    folder = RunFolder(args.run)
+    config = folder.config() if args.resume else replace(preset(args.preset), seed=args.seed)
+    if args.steps:
+        config = replace(config, total_steps=args.steps)
+    maps = load_maps(args.networks, folder.path / "maps")
+    held_out = load_maps(args.held_out, folder.path / "maps") if args.held_out else []
+    start = load_policy(args.start_from) if args.start_from else None
+    trainer = Trainer(config, maps, held_out, folder, args.resume, start)
+    stop: list[int] = []
+    previous = signal.signal(signal.SIGINT, lambda number, _: stop.append(number))
+    try:
+        with progress_bar("train") as progress:
+            trainer.run(
+                lambda row: progress(row["steps"] / config.total_steps, _rates(row)), lambda: bool(stop)
+            )
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    print(f"{trainer.steps} agent steps, policy in {folder.policy}")
+    if stop:
+        raise KeyboardInterrupt
+    return {**trainer.rows[-1], "agent_steps": trainer.steps, "policy": str(folder.policy)}
+
+
+def _rates(row: dict[str, float]) -> str:
+    shares = f"goal {row['goal_rate']:.2f}  collision {row['collision_rate']:.2f}  "
+    speed = row["steps"] / max(row["wall_seconds"], 1e-9)
+    return f"{shares}off road {row['road_edge_rate']:.2f}  rho {row['rho']:.2f}  {speed:.0f} steps/s"
+
+
+def evaluate(args: argparse.Namespace) -> Any:
+    from phase_sumo.config import TrainConfig
+    from phase_sumo.evaluate.synthetic import RATES, evaluate_synthetic
+    from phase_sumo.policy.checkpoint import load_policy
+
+    sources = []
+    for source in args.scenarios:
+        kind, _, path = source.partition(":")
+        if kind != "synthetic" or not path:
+            raise PhaseError(
+                f"scenario source {source!r} is not known; use synthetic:PATH of networks or map bundles"
+            )
+        sources.append(path)
+    policy = load_policy(args.policy)
+    config = TrainConfig()
+    with progress_bar("evaluate") as progress:
+        result = evaluate_synthetic(
+            policy,
+            load_maps(sources, None),
+            config.scenarios,
+            args.worlds,
+            config.slots,
+            episodes=args.episodes,
+            seed=args.seed,
+            greedy=args.greedy,
+            progress=lambda share: progress(share, "worlds"),
+        )
+    print(f"{result['agents']} agents in {result['scenarios']} scenarios")
+    groups = {"all": result, **result["by_regime"], **result["by_type"]}
+    print(f"{'':>18}" + "".join(f"{name.removesuffix('_rate'):>17}" for name in RATES))
+    for name, rates in groups.items():
+        print(f"{name:>18}" + "".join(f"{100 * rates[rate]:>16.1f}%" for rate in RATES))
+    return result
+
+
+def run(args: argparse.Namespace) -> Any:
+    from phase_sumo.bridge.run import run_scenario
+
+    with progress_bar("run") as progress:
+        result = run_scenario(
+            args.cfg,
+            policy=args.policy,
+            share=args.share,
+            types=args.types,
+            alpha=alpha_bounds(args.alpha),
+            seed=args.seed,
+            end=args.end,
+            gui=args.gui,
+            sumo_options=args.sumo_options,
+            output_dir=args.out,
+            progress=progress,
+        )
+    for name, value in result.items():
+        if not isinstance(value, dict):
+            print(f"{name}: {f'{value:.4g}' if isinstance(value, float) else value}")
+    return result
+
+
+def compare(args: argparse.Namespace) -> Any:
+    from phase_sumo.bridge import compare as comparison
+
+    with progress_bar("compare") as progress:
+        result = comparison.compare(
+            args.cfg,
+            args.models,
+            out_dir=args.out,
+            seeds=args.seeds,
+            policy=args.policy,
+            share=args.share,
+            types=args.types,
+            alpha=alpha_bounds(args.alpha),
+            end=args.end,
+            sumo_options=args.sumo_options,
+            progress=progress,
+        )
+    print(f"report: {result['report']}")
+    return result
+
+
+def demo(args: argparse.Namespace) -> Any:
+    from phase_sumo.bridge import compare as comparison
+
+    if not DEMO.exists():
+        raise PhaseError(f"{DEMO}: the demo scenario comes with a clone of the project; run it from one")
+    print("PHASE against SUMO's IDM on a three-lane motorway with an on-ramp and an off-ramp")
+    with progress_bar("demo") as progress:
+        result = comparison.compare(
+            DEMO, ("phase", "idm"), out_dir=args.out, seeds=[args.seed], progress=progress
+        )
+    for name in ("mean_speed", "travel_time", "flow", "collisions", "lane_changes_per_km"):
+        means = {model: summary[name]["mean"] for model, summary in result["summary"].items()}
+        print(f"{name:>20}: " + "  ".join(f"{model} {value:.2f}" for model, value in means.items()))
+    phase = next(row for row in result["runs"] if row["model"] == "phase")
+    arrived, inserted = phase["phase_arrived_under_policy"], phase["phase_vehicles"]
+    print(f"{arrived} of {inserted} PHASE vehicles arrived under the policy")
+    print(f"report: {Path(result['report']).resolve()}")
+    return result
+
+
+def bench(args: argparse.Namespace) -> Any:
+    import torch
+
+    from phase_sumo import bench as measure
+    from phase_sumo.config import TrainConfig
+
+    torch.set_num_threads(args.threads)
+    networks = args.networks or [str(HELD_OUT)]
+    results = []
+    for part in args.parts or ["sim", "train", "bridge", "convert"]:
+        with progress_bar(f"bench {part}") as progress:
+            if part == "sim":
+                results.append(
+                    measure.bench_sim(load_maps(networks, None), 16, 64, args.steps, args.seed, progress)
+                )
+            elif part == "train":
+                results.append(measure.bench_train(load_maps(networks, None), TrainConfig(), 5, progress))
+            elif part == "convert":
+                results.append(
+                    measure.bench_convert(find_files(networks, (".net.xml", ".net.xml.gz")), progress)
+                )
+            else:
+                results.append(measure.bench_bridge(Path(args.cfg), args.seed, progress))
+        print("  ".join(f"{k} {f'{v:.4g}' if isinstance(v, float) else v}" for k, v in results[-1].items()))
+    return {"machine": measure.machine(), "results": results}
+
+
+def alpha_bounds(values: list[float] | None) -> float | tuple[float, float] | None:
+    if not values:
+        return None
+    if len(values) > 2 or not all(0.1 <= v <= 1.0 for v in values):
+        raise PhaseError(f"--alpha {' '.join(map(str, values))}: pass one value or two bounds within 0.1..1")
+    return values[0] if len(values) == 1 else (values[0], values[1])

@@ -1,0 +1,82 @@
+"""Files named on the command line, JSON results, and the progress bar."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import phase_sumo
+from phase_sumo.errors import PhaseError
+
+CLONE = Path(phase_sumo.__file__).resolve().parent.parent
+DEMO = CLONE / "scenarios" / "merge" / "merge.sumocfg"
+HELD_OUT = CLONE / "networks" / "held_out"
+Progress = Callable[[float, str], None]
+
+
+def find_files(paths: list[str], endings: tuple[str, ...]) -> list[Path]:
+    """Files named directly, and those with one of the endings in folders."""
+    found: list[Path] = []
+    for path in map(Path, paths):
+        if path.is_dir():
+            inside = sorted(p for p in path.iterdir() if p.name.endswith(endings))
+            if not inside:
+                raise PhaseError(f"{path}: no file ending in {' or '.join(endings)} in this folder")
+            found += inside
+        elif path.is_file():
+            found.append(path)
+        else:
+            raise PhaseError(f"{path}: no such file or folder")
+    return found
+
+
+def load_maps(paths: list[str], keep: Path | None) -> list[Any]:
+    """Map bundles from ``.npz`` files, or from SUMO networks converted now (into ``keep``, if given)."""
+    from phase_sumo.sim.bundle import load_bundle
+
+    maps = []
+    for path in find_files(paths, (".npz", ".net.xml", ".net.xml.gz")):
+        if path.suffix == ".npz":
+            maps.append(load_bundle(path))
+            continue
+        from phase_sumo.bridge.convert import build_bundle
+        from phase_sumo.bridge.network import read_network
+        from phase_sumo.sim.bundle import save_bundle
+
+        maps.append(build_bundle(read_network(path)))
+        if keep is not None:
+            keep.mkdir(parents=True, exist_ok=True)
+            save_bundle(keep / f"{maps[-1].name}.npz", maps[-1])
+    return maps
+
+
+def write_json(path: Path, result: Any) -> None:
+    temporary = path.with_name(path.name + ".part")
+    try:
+        temporary.write_text(json.dumps(result, indent=1) + "\n")
+        os.replace(temporary, path)
+    except OSError as error:
+        raise PhaseError(
+            f"{path}: cannot be written ({error.strerror}); choose another --json file"
+        ) from None
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[Progress]:
+    """A progress bar on stderr."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.fields[title]}"),
+        BarColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.description}"),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=1.0, title=title)
+        yield lambda share, text: bar.update(task, completed=share, description=text)

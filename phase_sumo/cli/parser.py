@@ -1,0 +1,114 @@
+"""Arguments of every command."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import Any
+
+import phase_sumo
+from phase_sumo.cli import commands
+from phase_sumo.cli.files import DEMO
+
+
+def make_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="phase-sumo", description="PHASE self-play highway traffic for SUMO.", allow_abbrev=False
+    )
+    parser.add_argument("--version", action="version", version=f"phase-sumo {phase_sumo.__version__}")
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def add(name: str, command: Callable[[argparse.Namespace], Any], text: str) -> argparse.ArgumentParser:
+        sub = subparsers.add_parser(
+            name,
+            help=text,
+            description=text,
+            allow_abbrev=False,
+            formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        )
+        sub.set_defaults(command=command)
+        sub.add_argument("--json", metavar="FILE", help="write the results there as JSON")
+        sub.add_argument("--seed", type=int, default=0, help="fixes every random number")
+        sub.add_argument("--debug", action="store_true", help="show tracebacks")
+        return sub
+
+    sub = add("convert", commands.convert, "SUMO networks to training maps (.npz) with a picture of each")
+    sub.add_argument("networks", nargs="+", metavar="NET", help=".net.xml or .net.xml.gz")
+    sub.add_argument("--out", required=True, metavar="DIR", help="folder for bundles and pictures")
+
+    sub = add("train", commands.train, "train a policy by self-play")
+    sub.add_argument(
+        "--networks", nargs="+", required=True, metavar="PATH", help=".npz, .net.xml, or folders of them"
+    )
+    sub.add_argument(
+        "--held-out", nargs="+", metavar="PATH", help="networks to evaluate on, never trained on"
+    )
+    sub.add_argument("--run", required=True, metavar="DIR", help="folder of the run")
+    sub.add_argument(
+        "--preset", default="phase", help="phase, no-dclamp, no-reweighting, no-curriculum or smoke"
+    )
+    sub.add_argument("--steps", type=int, help="agent steps of the whole training; the preset's if left out")
+    sub.add_argument("--resume", action="store_true", help="continue the run in --run")
+    sub.add_argument("--start-from", metavar="POLICY", help="begin with the weights of this policy")
+
+    sub = add("evaluate", commands.evaluate, "goal, collision and road-edge rates of a policy")
+    sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
+    sub.add_argument(
+        "--scenarios", nargs="+", required=True, metavar="SRC", help="synthetic:PATH of networks"
+    )
+    sub.add_argument("--worlds", type=int, default=64, help="worlds side by side")
+    sub.add_argument("--episodes", type=int, default=4, help="episodes of 9.1 s per world")
+    sub.add_argument("--greedy", action="store_true", help="most probable actions instead of sampled ones")
+
+    for name, command, text in (
+        ("run", commands.run, "run a SUMO scenario with PHASE vehicles; SUMO's own options go behind --"),
+        ("compare", commands.compare, "the same demand under several driver models, with an HTML report"),
+    ):
+        sub = add(name, command, text)
+        sub.add_argument("cfg", metavar="CFG.sumocfg")
+        sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
+        sub.add_argument("--share", type=float, default=1.0, help="of the vehicles that PHASE drives, 0..1")
+        sub.add_argument(
+            "--types",
+            nargs="+",
+            default=[],
+            metavar="VTYPE",
+            help="vTypes that PHASE drives; all if left out",
+        )
+        sub.add_argument(
+            "--alpha",
+            nargs="+",
+            type=float,
+            metavar="A",
+            help="action range, one value or two bounds in 0.1..1",
+        )
+        sub.add_argument("--end", type=float, metavar="S", help="stop at this simulated time in s")
+        if name == "run":
+            sub.add_argument("--out", metavar="DIR", help="folder for SUMO's and our outputs")
+            sub.add_argument("--gui", action="store_true", help="show SUMO's window")
+        else:
+            sub.add_argument(
+                "--models", nargs="+", default=["phase", "idm"], help="phase, idm, krauss, eidm ..."
+            )
+            sub.add_argument("--seeds", type=int, default=1, help="how many seeds, counted from 1")
+            sub.add_argument("--out", required=True, metavar="DIR", help="folder for the report")
+
+    sub = add("bench", commands.bench, "throughput of simulator, training, bridge and converter")
+    sub.add_argument(
+        "parts",
+        nargs="*",
+        choices=["sim", "train", "bridge", "convert"],
+        metavar="PART",
+        help="all if left out",
+    )
+    sub.add_argument(
+        "--networks", nargs="+", metavar="PATH", help="the clone's held-out networks if left out"
+    )
+    sub.add_argument("--cfg", default=str(DEMO), metavar="CFG.sumocfg", help="scenario of the bridge")
+    sub.add_argument("--steps", type=int, default=100, help="simulator steps")
+    sub.add_argument("--threads", type=int, default=1, help="torch threads")
+
+    sub = add("demo", commands.demo, "the shipped policy against IDM on the shipped merge scenario")
+    sub.add_argument("--out", default="out/demo", metavar="DIR", help="folder for the report")
+    sub.set_defaults(seed=1)
+    return parser

@@ -1,0 +1,173 @@
+"""The start-goal pool against a slow search that is allowed to change lanes anywhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phase_sumo.bridge.network import read_network
+from phase_sumo.config import REGIMES, Regime
+from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
+from phase_sumo.sim.pool import (
+    GOALS_PER_GROUP,
+    TRUCK_UPSTREAM,
+    StartGoalPool,
+    build_pool,
+    lane_change_length,
+)
+from tests.conftest import straight_network
+from tests.small_nets import SmallNet, lanes_from
+
+W = 3.6
+JAMMED = REGIMES[0]
+BUDGET = 2
+State = tuple[int, int]  # node, signed lane changes
+
+
+def ramp_road(tmp_path, **lane_values) -> LaneGraph:
+    """Two lanes with an on-ramp, an acceleration lane and, further on, a fork to the right.
+
+    ``lane_values`` are XML attributes of the ramp and the exit.
+    """
+    extra = {0: lane_values} if lane_values else {}
+    net = SmallNet().edge("before", lanes_from(0, 60, 0, W))
+    net.edge("ramp", [[(10, -20), (40, -5), (60, -W)]], extra)
+    net.edge("merge", lanes_from(60, 120, -W, 0, W), {0: {"acceleration": "1"}})
+    net.edge("after", lanes_from(120, 160, 0, W))
+    net.edge("on", lanes_from(160, 220, 0, W)).edge("exit", [[(160, 0), (220, -12)]], extra)
+    net.connect("before", "merge", (0, 1), (1, 2)).connect("ramp", "merge", (0, 0))
+    net.connect("merge", "after", (1, 0), (2, 1)).connect("after", "on", (0, 0), (1, 1))
+    net.connect("after", "exit", (0, 0))
+    return build_lane_graph(read_network(net.write(tmp_path / "ramp.net.xml")))
+
+
+def reachable(graph: LaneGraph, start: int, longest: float, trucks: bool) -> dict[State, tuple[float, float]]:
+    """Shortest and longest way to every (node, lane changes); sideways steps are free and always allowed."""
+    found: dict[State, tuple[float, float]] = {}
+    waiting: list[tuple[State, float]] = [((start, 0), 0.0)]
+    while waiting:
+        (node, change), length = waiting.pop()
+        low, high = found.get((node, change), (np.inf, -np.inf))
+        if length > longest or abs(change) > BUDGET or (low - 1e-3 <= length <= high + 1e-3):
+            continue
+        if trucks and not graph.node_truck[node]:
+            continue
+        found[node, change] = (min(low, length), max(high, length))
+        for ahead, step in zip(graph.successor[node], graph.step[node], strict=True):
+            if ahead >= 0:
+                waiting.append(((int(ahead), change), length + float(step)))
+        for side, sign in ((graph.left, -1), (graph.right, 1)):
+            if side[node] >= 0:
+                waiting.append(((int(side[node]), change + sign), length))
+    return found
+
+
+def rows_by_start(pool: StartGoalPool, count: int) -> list[np.ndarray]:
+    """Row numbers of ``count`` starts spread over the pool."""
+    starts = np.unique(pool.start)
+    return [np.flatnonzero(pool.start == s) for s in starts[:: max(1, len(starts) // count)]]
+
+
+@pytest.fixture(scope="module")
+def ramp(tmp_path_factory) -> tuple[LaneGraph, StartGoalPool]:
+    graph = ramp_road(tmp_path_factory.mktemp("ramp"))
+    return graph, build_pool(graph, JAMMED, BUDGET)
+
+
+def test_every_pair_is_reachable_within_the_bounds(ramp):
+    graph, pool = ramp
+    low, high = JAMMED.path_bounds
+    assert low <= pool.path_length.min()
+    assert pool.path_length.max() <= high
+    for rows in rows_by_start(pool, 40):
+        ways = reachable(graph, int(pool.start[rows[0]]), high, trucks=False)
+        for row in rows:
+            shortest, longest = ways[int(pool.goal[row]), int(pool.lane_changes[row])]
+            assert shortest - 0.6 <= pool.path_length[row] <= longest + 0.6
+
+
+def test_every_lane_reachable_without_a_lane_change_has_a_goal(ramp):
+    graph, pool = ramp
+    low, high = JAMMED.path_bounds
+    for rows in rows_by_start(pool, 40):
+        ways = reachable(graph, int(pool.start[rows[0]]), high, trucks=False)
+        expected = {
+            int(graph.node_lane[node])
+            for (node, change), way in ways.items()
+            if change == 0 and way[1] >= low
+        }
+        straight = rows[pool.lane_changes[rows] == 0]
+        # a goal needs the lane within the bounds: the last metre at either end may differ
+        assert expected == set(graph.node_lane[pool.goal[straight]].tolist())
+
+
+def test_goals_on_the_exit_the_ramp_and_across_the_merge_exist(ramp):
+    graph, pool = ramp
+    assert (graph.node_xy[pool.goal, 1] < -8).any(), "exit"
+    from_ramp = graph.node_xy[pool.start, 1] < -5
+    assert (pool.lane_changes[from_ramp] == -1).any(), "leaves the acceleration lane to the left"
+    assert not (pool.lane_changes[from_ramp] > 0).any()
+
+
+def test_lane_changes_are_counted_to_the_right(straight_map):
+    lane = straight_map.graph.node_lane  # 0 is the rightmost
+    for pool in straight_map.pools:
+        counted = pool.lane_changes.astype(int)
+        np.testing.assert_array_equal(counted, lane[pool.start].astype(int) - lane[pool.goal])
+        assert set(counted.tolist()) == {-2, -1, 0, 1, 2}
+
+
+def test_a_lane_change_gets_the_room_it_needs(straight_map):
+    for regime, pool in zip(REGIMES, straight_map.pools, strict=True):
+        needed = np.abs(pool.lane_changes) * (lane_change_length(regime) - 1.0)
+        assert (pool.path_length >= needed).all()
+        assert (pool.path_length[np.abs(pool.lane_changes) == 1] < 1.5 * lane_change_length(regime)).any()
+
+
+def test_the_budget_of_lane_changes_is_kept():
+    graph = build_lane_graph(straight_network(lanes=5, length=200.0))
+    for budget in (0, 1, 3):
+        changes = build_pool(graph, JAMMED, budget).lane_changes
+        assert np.abs(changes).max() == budget
+
+
+def test_lengths_are_spread_over_the_bounds(straight_map):
+    for regime, pool in zip(REGIMES, straight_map.pools, strict=True):
+        low, high = regime.path_bounds
+        third = ((pool.path_length - low) / (high - low) * GOALS_PER_GROUP).astype(int)
+        share = np.bincount(np.minimum(third, GOALS_PER_GROUP - 1)) / len(third)
+        assert share.min() > 0.2
+
+
+def test_trucks_stay_on_lanes_that_allow_them_and_have_room_behind(tmp_path):
+    graph = ramp_road(tmp_path, disallow="truck")
+    pool = build_pool(graph, JAMMED, BUDGET)
+    assert pool.truck.any()
+    assert (graph.node_upstream[pool.start[pool.truck]] >= TRUCK_UPSTREAM).all()
+    for rows in rows_by_start(pool, 20):
+        start = int(pool.start[rows[0]])
+        ways = reachable(graph, start, JAMMED.path_bounds[1], trucks=True)
+        for row in rows[pool.truck[rows]]:
+            assert (int(pool.goal[row]), int(pool.lane_changes[row])) in ways
+        fits = graph.node_upstream[start] >= TRUCK_UPSTREAM
+        straight = rows[(pool.lane_changes[rows] == 0)]
+        open_to_trucks = [(int(g), 0) in ways for g in pool.goal[straight]]
+        np.testing.assert_array_equal(pool.truck[straight], np.array(open_to_trucks) & fits)
+
+
+def test_the_same_seed_gives_the_same_pool():
+    graph = build_lane_graph(straight_network(lanes=2, length=150.0))
+    first, again, other = (build_pool(graph, JAMMED, seed=seed) for seed in (3, 3, 4))
+    for name, array in first.arrays().items():
+        np.testing.assert_array_equal(array, again.arrays()[name])
+    assert not np.array_equal(first.goal, other.goal)
+
+
+def test_a_road_too_short_for_the_regime_has_an_empty_pool():
+    graph = build_lane_graph(straight_network(lanes=2, length=60.0))
+    long_ways: Regime = replace(JAMMED, path_bounds=(80.0, 120.0))
+    pool = build_pool(graph, long_ways)
+    assert len(pool.start) == 0
+    assert pool.arrays()["truck"].dtype == bool
