@@ -60,7 +60,7 @@ def best_time(runs: list[Trajectories], view: View) -> float:
     score = np.zeros(len(times))
     for t in runs:
         inside = _inside(t, view)
-        weight = 1.0 + 2.0 * (t.shape[t.vehicle, 4] > 0)
+        weight = 1.0 + 8.0 * (t.shape[t.vehicle, 4] > 0)
         slot = np.rint((t.time - times[0]) / 2.0).astype(int) if len(times) else np.zeros(0, int)
         use = (
             inside
