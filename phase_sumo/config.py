@@ -88,10 +88,6 @@ class Regime:
     lane_change_ratio_late: float  # P_lc after
     tuples: int  # share of the 77 (map, pool) tuples
 
-    @property
-    def mean_path(self) -> float:
-        return 0.5 * (self.path_bounds[0] + self.path_bounds[1])
-
 
 REGIMES = (
     Regime("jammed", (22.0, 58.0), 6.7, (96, 256), (144, 256), 0.4, 0.5, 22),

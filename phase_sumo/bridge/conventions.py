@@ -95,7 +95,7 @@ def front_from_reference(
     x: ArrayLike, y: ArrayLike, yaw: ArrayLike, front_overhang: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
     """Rear-axle midpoint -> front-bumper centre, both in m."""
-    overhang = np.asarray(front_overhang, np.float64)
+    overhang = np.asarray(front_overhang)
     return np.asarray(x) + overhang * np.cos(yaw), np.asarray(y) + overhang * np.sin(yaw)
 
 

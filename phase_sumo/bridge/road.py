@@ -27,7 +27,6 @@ class Road:
         first, count: [L] node range of each lane.
         metres: [L] geometric length.
         edges: ids of the edges whose lanes are kept.
-        lane_index: SUMO lane id -> lane, internal lanes of connectors included.
         following, preceding: lanes after and before each lane.
     """
 
@@ -39,9 +38,6 @@ class Road:
         self.first = np.concatenate(([0], np.cumsum(self.count)[:-1]))
         self.metres = np.array([float(np.hypot(*np.diff(c.points, axis=0).T).sum()) for c in network.lanes])
         self.edges = frozenset(c.edge for c in network.lanes if not c.connector)
-        self.lane_index = {c.id: i for i, c in enumerate(network.lanes)}
-        for i, lane in enumerate(network.lanes):
-            self.lane_index |= {part: i for part, _ in lane.parts}
         self.following: list[list[int]] = [[] for _ in network.lanes]
         self.preceding: list[list[int]] = [[] for _ in network.lanes]
         for a, b in network.successors:

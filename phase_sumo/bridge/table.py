@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 import torch
 
-from phase_sumo.bridge.conventions import ShapeRow
+from phase_sumo.bridge.conventions import ShapeRow, front_from_reference
 from phase_sumo.sim.vehicles import HISTORY, Task, VehicleShape, VehicleState
 
 SHAPE = tuple(f.name for f in fields(VehicleShape))
@@ -126,5 +126,4 @@ class VehicleTable:
     def front(self) -> tuple[np.ndarray, np.ndarray]:
         """[N] front-bumper centres in m."""
         a = self.arrays
-        overhang = a["length"] - a["rear_overhang"]
-        return a["x"] + overhang * np.cos(a["yaw"]), a["y"] + overhang * np.sin(a["yaw"])
+        return front_from_reference(a["x"], a["y"], a["yaw"], a["length"] - a["rear_overhang"])
