@@ -8,17 +8,20 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
-from phase_sumo.config import TrainConfig
+from phase_sumo.config import REGIMES, TrainConfig
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import Environment
+from phase_sumo.sim.lanes import LaneNetwork
 
 Progress = Callable[[float, str], None]
+Result = TypeVar("Result")
 WARM_UP = 10  # steps
+FREEWAYS = (6, 21, 81)  # km of lane: whole sections of a two-way freeway of six lanes
 
 
 def machine() -> dict[str, Any]:
@@ -93,22 +96,61 @@ def bench_train(maps: list[MapBundle], config: TrainConfig, updates: int, progre
 
 
 def bench_convert(networks: list[Path], progress: Progress) -> dict[str, Any]:
-    """Conversion of networks to map bundles: km of lane per CPU second, pictures left out."""
-    from phase_sumo.bridge.convert import build_bundle
-    from phase_sumo.bridge.network import read_network
+    """Conversion of networks to map bundles by part, pictures left out, and how its cost grows with length.
 
-    began, lane_km = time.process_time(), 0.0
-    for done, path in enumerate(networks):
-        network = read_network(path)
-        lane_km += len(build_bundle(network).graph.node_xy) / 1000.0  # a node every metre
-        progress((done + 1) / len(networks), path.name)
-    spent = time.process_time() - began
+    Returns:
+        CPU seconds per part over all ``networks``, km of lane per CPU second overall and for lane graph and
+        pools alone, and for synthetic freeways of growing length CPU seconds per km of lane.
+    """
+    from phase_sumo.bridge.network import read_network
+    from phase_sumo.sim.synthetic_road import freeway
+
+    jobs = [(path.name, lambda path=path: read_network(path)) for path in networks]
+    jobs += [(f"{km:g} km of lane", lambda km=km: freeway(km)) for km in FREEWAYS]
+    costs = []
+    for done, (name, read) in enumerate(jobs):
+        costs.append(_conversion(read))
+        progress((done + 1) / len(jobs), name)
+    total = {part: sum(cost[part] for cost in costs[: len(networks)]) for part in costs[0]}
+    lane_km = total.pop("lane_km")
     return {
         "part": "convert",
         "lane_km": lane_km,
-        "cpu_seconds": spent,
-        "lane_km_per_cpu_second": lane_km / spent,
+        "cpu_seconds": sum(total.values()),
+        "lane_km_per_cpu_second": lane_km / sum(total.values()),
+        "graph_and_pool_lane_km_per_cpu_second": lane_km / (total["graph"] + total["pools"]),
+        "cpu_seconds_of_part": total,
+        "cpu_seconds_per_lane_km_of_length": {
+            f"{cost['lane_km']:.0f} km": (sum(cost.values()) - cost["lane_km"]) / cost["lane_km"]
+            for cost in costs[len(networks) :]
+        },
     }
+
+
+def _conversion(read: Callable[[], LaneNetwork]) -> dict[str, float]:
+    """CPU seconds of each part of converting one network, and its ``lane_km``."""
+    from phase_sumo.bridge.road_lines import road_lines
+    from phase_sumo.sim.bundle import save_bundle
+    from phase_sumo.sim.lane_graph import build_lane_graph
+    from phase_sumo.sim.pool import build_pool
+    from phase_sumo.sim.road_build import build_road_map
+
+    parts: dict[str, float] = {}
+
+    def timed(part: str, work: Callable[[], Result]) -> Result:
+        began = time.process_time()
+        result = work()
+        parts[part] = time.process_time() - began
+        return result
+
+    network = timed("read", read)
+    graph = timed("graph", lambda: build_lane_graph(network))
+    pools = timed("pools", lambda: tuple(build_pool(graph, regime) for regime in REGIMES))
+    road_map = timed("road_map", lambda: build_road_map(road_lines(network), graph))
+    bundle = MapBundle(network.name, road_map, graph, pools)
+    with tempfile.TemporaryDirectory(prefix="phase_sumo_") as folder:
+        timed("save", lambda: save_bundle(Path(folder) / "map.npz", bundle))
+    return parts | {"lane_km": len(graph.node_xy) / 1000.0}  # a node every metre
 
 
 def bench_bridge(cfg: Path, seed: int, progress: Progress) -> dict[str, Any]:

@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from shapely.geometry import LineString, MultiLineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from phase_sumo.bridge.lines import arc_length, normals, resample, tangents
+from phase_sumo.bridge.lines import arc_length, normals, resample
 from phase_sumo.sim.lanes import Lane, LaneNetwork
-from phase_sumo.sim.near import pairs_within
+from phase_sumo.sim.near import abeam, pairs_within
+from phase_sumo.sim.polylines import Polylines
 from phase_sumo.sim.road_build import RoadLine
+from phase_sumo.sim.road_cells import point_segment_distance
 from phase_sumo.sim.road_map import RoadKind
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 TAPER = 40.0  # m over which the border closes after a lane's end or opens before its start
 CLOSE_GAP = 0.3  # m: gaps up to twice this between lanes belong to the road
 TOLERANCE = 0.05  # m of simplification
 SEPARATE = 0.8  # m: a boundary is drawn where two lanes lie this exactly side by side
 SMALLEST_HOLE = 20.0  # m^2: smaller holes in the surface are seams between lanes, not islands
 OPPOSITE = 0.6  # m: lanes of opposite directions whose borders are closer share a divided surface
+SPACING = 2.0  # m between points of borders before they are simplified
 SHORTEST_EDGE = 0.5  # m: shorter pieces of border are left-overs of cutting the open ends
 
 
@@ -34,55 +40,105 @@ def lane_boundaries(network: LaneNetwork) -> list[RoadLine]:
 
     The line may be crossed when a change is allowed in either direction.
     """
+    lanes = _Centres.of(network)
     crossed_from_left = {lane.right for lane in network.lanes if lane.right >= 0}
+    left = np.array([lane.left for lane in network.lanes])[lanes.owner]
+    wanted = 0.5 * (lanes.width + lanes.width_of[left])
+    # where a lane forks off or merges, the two are still one: no line there
+    apart = (left < 0) | (np.abs(_gap_to(lanes, left) - wanted) < SEPARATE)
+    border = lanes.xy + 0.5 * lanes.width[:, None] * lanes.normal
     lines = []
     for i, lane in enumerate(network.lanes):
         if lane.left < 0 and not lane.solid_left:
             continue
         kind = RoadKind.LANE_BOUNDARY if lane.left >= 0 or i in crossed_from_left else RoadKind.SOLID_BOUNDARY
-        border = offset(lane.points, 0.5 * lane.width)
-        apart = np.ones(len(border), bool)
-        if lane.left >= 0:
-            # where a lane forks off or merges, the two are still one: no line there
-            other = network.lanes[lane.left]
-            gap = shapely.distance(shapely.points(resample(lane.points, 2.0)), LineString(other.points))
-            apart = np.abs(gap - 0.5 * (lane.width + other.width)) < SEPARATE
-        lines += [RoadLine(kind, _simplified(border[a:b])) for a, b in _runs(apart)]
+        lines += _pieces(kind, border[lanes.points(i)], apart[lanes.points(i)])
     return lines
 
 
 def dividers(network: LaneNetwork) -> list[RoadLine]:
     """Solid lines between touching lanes of opposite directions, which have no road edge between them."""
-    side = -1.0 if network.left_hand else 1.0
-    samples = [resample(lane.points, 2.0) for lane in network.lanes]
-    owner = np.repeat(np.arange(len(samples)), [len(s) for s in samples])
-    xy, along = np.concatenate(samples), np.concatenate([tangents(s) for s in samples])
-    width = np.array([lane.width for lane in network.lanes])
+    lanes = _Centres.of(network)
+    inner = np.array(
+        [lane.connector or (lane.right if network.left_hand else lane.left) >= 0 for lane in network.lanes]
+    )
+    border = lanes.xy + (-0.5 if network.left_hand else 0.5) * lanes.width[:, None] * lanes.normal
+    asked = np.flatnonzero(~inner[lanes.owner])
+    q, k = pairs_within(border[asked], lanes.xy, 0.5 * float(lanes.width.max()) + OPPOSITE)
+    q = asked[q]
+    gap = np.abs(np.hypot(*(border[q] - lanes.xy[k]).T) - 0.5 * lanes.width[k])
+    against = (lanes.normal[q] * lanes.normal[k]).sum(1) < -0.7
+    near = np.zeros(len(border), bool)
+    near[q[against & (gap < OPPOSITE) & (lanes.owner[k] > lanes.owner[q])]] = True
     lines = []
-    for i, lane in enumerate(network.lanes):
-        inner = lane.right if network.left_hand else lane.left
-        if inner >= 0 or lane.connector:
-            continue
-        border = offset(lane.points, side * 0.5 * lane.width)
-        q, k = pairs_within(border, xy, 0.5 * float(width.max()) + OPPOSITE)
-        gap = np.abs(np.linalg.norm(border[q] - xy[k], axis=1) - 0.5 * width[owner[k]])
-        against = (tangents(border)[q] * along[k]).sum(1) < -0.7
-        near = np.zeros(len(border), bool)
-        near[q[against & (gap < OPPOSITE) & (owner[k] > i)]] = True
-        lines += [RoadLine(RoadKind.SOLID_BOUNDARY, _simplified(border[a:b])) for a, b in _runs(near)]
+    for i in np.unique(lanes.owner[near]):
+        lines += _pieces(RoadKind.SOLID_BOUNDARY, border[lanes.points(i)], near[lanes.points(i)])
     return lines
+
+
+@dataclass(frozen=True)
+class _Centres:
+    """Points about `SPACING` apart on all centre lines.
+
+    Attributes:
+        xy, normal: [N, 2] m and unit normal to the left.
+        owner, width: [N] lane of each point and its width in m.
+        first: [L + 1] first point of each lane.
+        width_of: [L] m.
+    """
+
+    xy: FloatArray
+    normal: FloatArray
+    owner: IntArray
+    width: FloatArray
+    first: IntArray
+    width_of: FloatArray
+
+    @staticmethod
+    def of(network: LaneNetwork) -> _Centres:
+        lines = Polylines.of([lane.points for lane in network.lanes])
+        samples = lines.samples(SPACING)
+        xy = lines.at(samples)
+        first = np.concatenate(([0], np.cumsum(samples.counts)))
+        owner = np.repeat(np.arange(len(samples.counts)), samples.counts)
+        node = np.arange(len(xy))
+        along = xy[np.minimum(node + 1, first[owner + 1] - 1)] - xy[np.maximum(node - 1, first[owner])]
+        along /= np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+        normal = np.stack((-along[:, 1], along[:, 0]), -1)
+        width_of = np.array([lane.width for lane in network.lanes])
+        return _Centres(xy, normal, owner, width_of[owner], first, width_of)
+
+    def points(self, lane: int) -> slice:
+        """Points of one lane."""
+        return slice(int(self.first[lane]), int(self.first[lane + 1]))
+
+
+def _gap_to(lanes: _Centres, other: IntArray) -> FloatArray:
+    """[N] distance in m from each point to the centre line of lane ``other`` [N]; inf where that is -1."""
+    asked = np.flatnonzero(other >= 0)
+    at, own = lanes.xy[asked], lanes.owner[asked]
+    first, last = lanes.first[other[asked]], lanes.first[other[asked] + 1] - 1
+    share = (asked - lanes.first[own]) / (lanes.first[own + 1] - 1 - lanes.first[own])
+    guess = first + np.rint(share * (last - first)).astype(np.int64)
+    along = np.stack((lanes.normal[:, 1], -lanes.normal[:, 0]), -1)
+    near = abeam(at, guess, lanes.xy, along, (first, last), SPACING, 3)
+    pieces = (lanes.xy[np.maximum(near - 1, first)], lanes.xy[near], lanes.xy[np.minimum(near + 1, last)])
+    gap = np.full(len(other), np.inf)
+    gap[asked] = np.minimum(
+        point_segment_distance(at, np.hstack(pieces[:2])), point_segment_distance(at, np.hstack(pieces[1:]))
+    )
+    return gap
+
+
+def _pieces(kind: RoadKind, line: FloatArray, drawn: NDArray[np.bool_]) -> list[RoadLine]:
+    """The stretches of a line where it is drawn."""
+    return [RoadLine(kind, _simplified(line[a:b])) for a, b in _runs(drawn)]
 
 
 def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Half-open ranges of at least two true entries."""
     change = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
     return [(int(a), int(b)) for a, b in zip(change[::2], change[1::2], strict=True) if b - a >= 2]
-
-
-def offset(points: FloatArray, left: float) -> FloatArray:
-    """The line moved ``left`` m to its left, points about 2 m apart."""
-    fine = resample(points, 2.0)
-    return fine + left * normals(fine)
 
 
 def road_edges(network: LaneNetwork) -> list[RoadLine]:
@@ -105,10 +161,9 @@ def road_edges(network: LaneNetwork) -> list[RoadLine]:
 
 def drivable_surface(network: LaneNetwork) -> BaseGeometry:
     """Union of all lanes and tapers; narrow gaps between them are closed."""
-    parts: list[BaseGeometry] = [
-        LineString(lane.points).buffer(0.5 * lane.width, cap_style="flat", join_style="mitre")
-        for lane in network.lanes
-    ]
+    centres = np.array([LineString(lane.points) for lane in network.lanes])
+    half_width = 0.5 * np.array([lane.width for lane in network.lanes])
+    parts = [*shapely.buffer(centres, half_width, cap_style="flat", join_style="mitre")]
     parts += tapers(network)
     parts += [_seam(network.lanes[a], network.lanes[b]) for a, b in network.successors]
     grown = shapely.union_all(parts).buffer(CLOSE_GAP, join_style="mitre", mitre_limit=2.0)

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
 import zipfile
 import zlib
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
 
+from phase_sumo.config import ScenarioConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.lane_graph import LaneGraph
+from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.pool import StartGoalPool
 from phase_sumo.sim.road_map import CELL_SIZE, POINTS_PER_CELL, SEGMENTS_PER_CELL, RoadMap
 
-FORMAT = "phase_sumo map bundle 1"
+FORMAT = "phase_sumo map bundle 2"  # count up whenever conversion writes something else
 LAYOUT = (CELL_SIZE, POINTS_PER_CELL, SEGMENTS_PER_CELL)  # a file with another grid does not fit the code
 
 
@@ -30,12 +34,41 @@ class MapBundle:
         road_map: a single map (M = 1).
         graph: lane graph.
         pools: one per `config.REGIMES`, in that order.
+        key: `bundle_key` of what it was made from, "" if unknown.
     """
 
     name: str
     road_map: RoadMap
     graph: LaneGraph
     pools: tuple[StartGoalPool, ...]
+    key: str = ""
+
+
+def bundle_key(source: bytes | LaneNetwork, scenario: ScenarioConfig, seed: int, *options: str) -> str:
+    """Hash of everything that a bundle depends on.
+
+    Args:
+        source: content of the network file, or the lanes themselves.
+        scenario: its regimes' path lengths and speeds and the lane-change budget shape the pools.
+        seed: of the pools.
+        options: of reading the network.
+    """
+    regimes = [(regime.path_bounds, regime.base_speed) for regime in scenario.regimes]
+    digest = hashlib.sha256()
+    for part in (FORMAT, LAYOUT, regimes, scenario.max_lane_changes, seed, options):
+        digest.update(repr(part).encode() + b"\n")
+    for part in [source] if isinstance(source, bytes) else _content(source):
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def _content(network: LaneNetwork) -> Iterator[bytes]:
+    yield repr((network.name, network.successors, network.left_hand, len(network.lanes))).encode()
+    for lane in network.lanes:
+        for f in fields(lane):
+            value = getattr(lane, f.name)
+            yield value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
+            yield b"\n"
 
 
 def save_bundle(path: str | Path, bundle: MapBundle) -> None:
@@ -45,6 +78,7 @@ def save_bundle(path: str | Path, bundle: MapBundle) -> None:
         "format": np.array(FORMAT),
         "layout": np.array(LAYOUT),
         "name": np.array(bundle.name),
+        "key": np.array(bundle.key),
         "pools": np.array(len(bundle.pools)),
     }
     arrays |= {f"road.{key}": value for key, value in bundle.road_map.arrays().items()}
@@ -55,12 +89,23 @@ def save_bundle(path: str | Path, bundle: MapBundle) -> None:
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
     try:
         with os.fdopen(handle, "wb") as file:
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+            np.savez(file, **arrays)  # type: ignore[arg-type]  # compressing would cost more than all the rest
         Path(temporary).chmod(0o644)
         os.replace(temporary, path)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def load_if_current(path: str | Path, key: str) -> MapBundle | None:
+    """The bundle at ``path`` if it was made from what ``key`` stands for; None if it must be made again."""
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            if str(data["key"]) != key:
+                return None
+        return load_bundle(path)
+    except (PhaseError, OSError, ValueError, KeyError, EOFError, zlib.error, zipfile.BadZipFile):
+        return None
 
 
 def load_bundle(path: str | Path) -> MapBundle:
@@ -90,6 +135,7 @@ def load_bundle(path: str | Path) -> MapBundle:
             road_map=RoadMap.from_arrays(_group(arrays, "road")),
             graph=LaneGraph(**_group(arrays, "graph")),
             pools=tuple(StartGoalPool(**_group(arrays, f"pool{i}")) for i in range(int(arrays["pools"]))),
+            key=str(arrays["key"]),
         )
     except (KeyError, TypeError) as error:
         raise PhaseError(f"{path}: the map bundle lacks {error}; {remedy}") from error

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from phase_sumo.sim.lanes import Lane, LaneNetwork
+from phase_sumo.sim.lanes import LaneNetwork
+from phase_sumo.sim.near import abeam
+from phase_sumo.sim.polylines import Polylines
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
 
 MAX_SUCCESSORS = 4
 UPSTREAM_CAP = 60.0  # m
 COINCIDE = 0.5  # m: the last node of a lane stands for the first of the next one
 ABREAST = 1.75  # lane widths: nodes of adjacent lanes further apart are not abreast
+BEYOND = 1.1  # m along the lane, likewise: beside a lane's end, or its first node where that is left out
+ABREAST_ROUNDS = 4  # of sliding along the other lane
 CURVATURE_SMOOTHING = 20  # passes of a three-node mean, a Gaussian of about 4 m
 
 
@@ -45,114 +54,161 @@ class LaneGraph:
     def arrays(self) -> dict[str, np.ndarray]:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
-    @property
+    @cached_property
     def step(self) -> np.ndarray:
         """[V, 4] distance in m to each successor, 0 where there is none."""
-        delta = self.node_xy[self.successor] - self.node_xy[:, None]
-        return np.where(self.successor >= 0, np.hypot(delta[..., 0], delta[..., 1]), 0.0)
+        node, column = np.nonzero(self.successor >= 0)
+        delta = self.node_xy[self.successor[node, column]] - self.node_xy[node]
+        step = np.zeros(self.successor.shape)
+        step[node, column] = np.hypot(*delta.astype(np.float64).T)
+        return step
 
+    @cached_property
+    def lane_end(self) -> np.ndarray:
+        """[V] last node of each node's lane; the nodes of a lane are numbered in driving direction."""
+        last = np.append(np.flatnonzero(np.diff(self.node_lane)), len(self.node_lane) - 1)
+        return np.repeat(last, np.diff(last, prepend=-1))
 
-@dataclass(frozen=True)
-class _LaneNodes:
-    """Nodes of one lane: xy [n, 2], yaw [n], share of its length [n] in 0..1, lane position [n] in m."""
+    @cached_property
+    def lane_start(self) -> np.ndarray:
+        """[V] first node of each node's lane."""
+        first = np.append(0, np.flatnonzero(np.diff(self.node_lane)) + 1)
+        return np.repeat(first, np.diff(first, append=len(self.node_lane)))
 
-    xy: np.ndarray
-    yaw: np.ndarray
-    share: np.ndarray
-    position: np.ndarray
+    @cached_property
+    def along(self) -> np.ndarray:
+        """[V] metres along the lanes; only differences within a lane mean something."""
+        return np.concatenate(([0.0], np.cumsum(self.step[:-1, 0])))
 
-    def from_second(self) -> _LaneNodes:
-        return _LaneNodes(self.xy[1:], self.yaw[1:], self.share[1:], self.position[1:])
+    @cached_property
+    def spacing(self) -> np.ndarray:
+        """[V] mean distance in m between the nodes of each node's lane, 1 for a single node."""
+        pieces = self.lane_end - self.lane_start
+        length = self.along[self.lane_end] - self.along[self.lane_start]
+        return np.where(pieces > 0, length / np.maximum(pieces, 1), 1.0)
+
+    def restricted(self, keep: np.ndarray) -> LaneGraph:
+        """The graph of the nodes where ``keep`` [V] bool holds, in their order.
+
+        What is left of a lane on either side of a gap are two lanes, so ``node_lane`` counts anew.
+        """
+        kept = np.flatnonzero(keep)
+        number = np.full(len(keep) + 1, -1, np.int32)  # the last entry serves the index -1
+        number[kept] = np.arange(len(kept))
+        apart = (np.diff(kept) > 1) | (np.diff(self.node_lane[kept]) != 0)
+        links = {name: number[getattr(self, name)[kept]] for name in ("successor", "left", "right")}
+        rest = {name: array[kept] for name, array in self.arrays().items()}
+        return LaneGraph(**(rest | links | {"node_lane": np.append(0, np.cumsum(apart)).astype(np.int32)}))
 
 
 def build_lane_graph(network: LaneNetwork) -> LaneGraph:
     """Nodes every metre along every lane, linked as the lanes are."""
-    lanes = network.lanes
     nodes = _nodes(network)
-    counts = np.array([len(n.share) for n in nodes])
-    first = np.concatenate(([0], np.cumsum(counts)[:-1]))
-    xy, yaw = np.concatenate([n.xy for n in nodes]), np.concatenate([n.yaw for n in nodes])
-    successor = _successors(network, first, counts, xy, yaw)
-    curvature = _curvature(xy, yaw, successor)
+    successor = _successors(network, nodes)
+    truck = np.array([lane.allows_truck for lane in network.lanes])
     return LaneGraph(
-        node_xy=xy.astype(np.float32),
-        node_yaw=yaw.astype(np.float32),
-        node_curvature=curvature.astype(np.float32),
-        node_lane=np.repeat(np.arange(len(lanes), dtype=np.int32), counts),
-        node_position=np.concatenate([n.position for n in nodes]).astype(np.float32),
-        node_truck=np.repeat(np.array([lane.allows_truck for lane in lanes]), counts),
-        node_upstream=_upstream(xy, successor).astype(np.float32),
+        node_xy=nodes.xy.astype(np.float32),
+        node_yaw=nodes.yaw.astype(np.float32),
+        node_curvature=_curvature(nodes.xy, nodes.yaw, successor).astype(np.float32),
+        node_lane=nodes.lane.astype(np.int32),
+        node_position=nodes.position.astype(np.float32),
+        node_truck=truck[nodes.lane],
+        node_upstream=_upstream(nodes, successor).astype(np.float32),
         successor=successor,
-        left=_abreast(lanes, nodes, first, counts, "left"),
-        right=_abreast(lanes, nodes, first, counts, "right"),
+        left=_abreast(network, nodes, np.array([lane.left for lane in network.lanes])),
+        right=_abreast(network, nodes, np.array([lane.right for lane in network.lanes])),
     )
 
 
-def _nodes(network: LaneNetwork) -> list[_LaneNodes]:
-    """Nodes of every lane; the first one is left out where every predecessor ends on it."""
-    ends: dict[int, list[np.ndarray]] = {}
-    for a, b in network.successors:
-        ends.setdefault(b, []).append(network.lanes[a].points[-1])
-    result = []
-    for i, lane in enumerate(network.lanes):
-        nodes = _lane_nodes(lane)
-        gaps = [np.hypot(*(end - lane.points[0])) for end in ends.get(i, [])]
-        if gaps and max(gaps) < COINCIDE:
-            nodes = nodes.from_second()
-        result.append(nodes)
-    return result
+@dataclass(frozen=True)
+class _Nodes:
+    """Nodes: xy [V, 2], yaw, lane position and lane [V]; first and last node of each lane [L]."""
+
+    xy: FloatArray
+    yaw: FloatArray
+    position: FloatArray
+    lane: IntArray
+    first: IntArray
+    last: IntArray
 
 
-def _lane_nodes(lane: Lane) -> _LaneNodes:
-    """Points about 1 m apart and the line's direction there."""
-    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(lane.points, axis=0).T))))
-    wanted = np.linspace(0.0, s[-1], max(1, round(s[-1])) + 1)
-    xy = np.stack([np.interp(wanted, s, lane.points[:, k]) for k in (0, 1)], axis=-1)
-    tangent = np.gradient(xy, axis=0)
-    share = wanted / s[-1]
-    position = share * lane.length if lane.positions is None else np.interp(wanted, s, lane.positions)
-    return _LaneNodes(xy, np.arctan2(tangent[:, 1], tangent[:, 0]), share, position)
+def _nodes(network: LaneNetwork) -> _Nodes:
+    """Points about 1 m apart; a lane's first one is left out where every predecessor ends on it."""
+    lanes = Polylines.of([lane.points for lane in network.lanes])
+    samples = lanes.samples(1.0)
+    xy = lanes.at(samples)
+    position = lanes.at(samples, _positions(network, lanes))
+    lane = np.repeat(np.arange(len(samples.counts)), samples.counts)
+    last = np.cumsum(samples.counts) - 1
+    first = last - samples.counts + 1
+    node = np.arange(len(xy))
+    tangent = xy[np.minimum(node + 1, last[lane])] - xy[np.maximum(node - 1, first[lane])]
+    yaw = np.arctan2(tangent[:, 1], tangent[:, 0])
+
+    before, after = _links(network)
+    gap = np.hypot(*(xy[last[before]] - xy[first[after]]).T)
+    widest = np.full(len(first), -1.0)
+    np.maximum.at(widest, after, gap)
+    doubled = (widest >= 0) & (widest < COINCIDE)
+    keep = np.ones(len(xy), bool)
+    keep[first[doubled]] = False
+    counts = samples.counts - doubled
+    last = np.cumsum(counts) - 1
+    return _Nodes(xy[keep], yaw[keep], position[keep], lane[keep], last - counts + 1, last)
 
 
-def _successors(
-    network: LaneNetwork, first: np.ndarray, counts: np.ndarray, xy: np.ndarray, yaw: np.ndarray
-) -> np.ndarray:
-    successor = np.full((len(xy), MAX_SUCCESSORS), -1, np.int32)
-    inner = np.ones(len(xy), bool)
-    last = first + counts - 1
-    inner[last] = False
-    successor[inner, 0] = np.flatnonzero(inner) + 1
-    following: dict[int, list[int]] = {}
-    for a, b in network.successors:
-        following.setdefault(a, []).append(b)
-    for a, targets in following.items():
-        # a fork's straight branch comes first: the one that turns least over its own length
-        turn = [abs(_wrap(yaw[last[b]] - yaw[last[a]])) for b in targets]
-        ordered = [targets[k] for k in np.argsort(turn, kind="stable")][:MAX_SUCCESSORS]
-        successor[last[a], : len(ordered)] = first[ordered]
+def _positions(network: LaneNetwork, lanes: Polylines) -> FloatArray:
+    """[P] SUMO's lane position of each point of the centre lines."""
+    share = (lanes.s - np.repeat(lanes.s[lanes.first], lanes.counts)) / np.repeat(lanes.length, lanes.counts)
+    position = share * np.repeat([lane.length for lane in network.lanes], lanes.counts)
+    for lane, first, count in zip(network.lanes, lanes.first, lanes.counts, strict=True):
+        if lane.positions is not None:
+            position[first : first + count] = lane.positions
+    return position
+
+
+def _links(network: LaneNetwork) -> tuple[IntArray, IntArray]:
+    """Lanes before and after each link."""
+    links = np.array(network.successors, np.int64).reshape(-1, 2)
+    return links[:, 0], links[:, 1]
+
+
+def _successors(network: LaneNetwork, nodes: _Nodes) -> NDArray[np.int32]:
+    successor = np.full((len(nodes.xy), MAX_SUCCESSORS), -1, np.int32)
+    successor[:-1, 0] = np.arange(1, len(nodes.xy))
+    successor[nodes.last, 0] = -1
+    before, after = _links(network)
+    # a fork's straight branch comes first: the one that turns least over its own length
+    turn = np.abs(_wrap(nodes.yaw[nodes.last[after]] - nodes.yaw[nodes.last[before]]))
+    order = np.lexsort((turn, before))
+    before, after = before[order], after[order]
+    rank = np.arange(len(before)) - np.searchsorted(before, before)
+    fits = rank < MAX_SUCCESSORS
+    successor[nodes.last[before[fits]], rank[fits]] = nodes.first[after[fits]]
     return successor
 
 
-def _abreast(
-    lanes: tuple[Lane, ...], nodes: list[_LaneNodes], first: np.ndarray, counts: np.ndarray, side: str
-) -> np.ndarray:
-    """[V] node of the lane on ``side`` at the same share of its length, -1 where none is abreast."""
-    found = [np.full(count, -1, np.int32) for count in counts]
-    for i, lane in enumerate(lanes):
-        j = getattr(lane, side)
-        if j < 0:
-            continue
-        mine, other = nodes[i], nodes[j]
-        k = np.rint(np.interp(mine.share, other.share, np.arange(len(other.share)))).astype(int)
-        distance = np.hypot(*(mine.xy - other.xy[k]).T)
-        close = distance < ABREAST * 0.5 * (lane.width + lanes[j].width)
-        found[i] = np.where(close, first[j] + k, -1).astype(np.int32)
-    return np.concatenate(found)
+def _abreast(network: LaneNetwork, nodes: _Nodes, beside: IntArray) -> NDArray[np.int32]:
+    """[V] nearest node of the lane ``beside`` [L] each lane (or -1), -1 where that lane is not abreast."""
+    node = np.flatnonzero(beside[nodes.lane] >= 0)
+    mine, other = nodes.lane[node], beside[nodes.lane[node]]
+    first, last = nodes.first[other], nodes.last[other]
+    share = (node - nodes.first[mine]) / np.maximum(nodes.last[mine] - nodes.first[mine], 1)
+    found = first + np.rint(share * (last - first)).astype(np.int64)
+    along = np.stack((np.cos(nodes.yaw), np.sin(nodes.yaw)), -1)
+    found = abeam(nodes.xy[node], found, nodes.xy, along, (first, last), 1.0, ABREAST_ROUNDS)
+    (x, y), (cos, sin) = (nodes.xy[node] - nodes.xy[found]).T, along[found].T
+    ahead, aside = x * cos + y * sin, y * cos - x * sin
+    width = np.array([lane.width for lane in network.lanes])
+    close = (np.abs(aside) < ABREAST * 0.5 * (width[mine] + width[other])) & (np.abs(ahead) <= BEYOND)
+    result = np.full(len(nodes.xy), -1, np.int32)
+    result[node[close]] = found[close]
+    return result
 
 
-def _curvature(xy: np.ndarray, yaw: np.ndarray, successor: np.ndarray) -> np.ndarray:
+def _curvature(xy: FloatArray, yaw: FloatArray, successor: NDArray[np.int32]) -> FloatArray:
     """[V] heading change per metre to the next node, smoothed along the lanes."""
-    ahead = successor[:, 0]
+    ahead = successor[:, 0].astype(np.int64)
     has = ahead >= 0
     ahead = np.where(has, ahead, np.arange(len(xy)))
     behind = np.arange(len(xy))
@@ -164,19 +220,24 @@ def _curvature(xy: np.ndarray, yaw: np.ndarray, successor: np.ndarray) -> np.nda
     return curvature
 
 
-def _upstream(xy: np.ndarray, successor: np.ndarray) -> np.ndarray:
+def _upstream(nodes: _Nodes, successor: NDArray[np.int32]) -> FloatArray:
     """[V] longest way back in m, capped: what a trailer needs behind its tractor."""
-    a, column = np.nonzero(successor >= 0)
-    b = successor[a, column]
-    step = np.hypot(*(xy[b] - xy[a]).T)
-    upstream = np.zeros(len(xy))
+    step = np.hypot(*np.diff(nodes.xy, axis=0, prepend=nodes.xy[:1]).T)
+    along = np.cumsum(step)
+    along -= along[nodes.first][nodes.lane]
+    lane, column = np.nonzero(successor[nodes.last] >= 0)
+    head = successor[nodes.last[lane], column]
+    after, link = nodes.lane[head], np.hypot(*(nodes.xy[head] - nodes.xy[nodes.last[lane]]).T)
+    at_start = np.zeros(len(nodes.first))
     while True:
-        longer = upstream.copy()
-        np.maximum.at(longer, b, np.minimum(upstream[a] + step, UPSTREAM_CAP))
-        if np.array_equal(longer, upstream):
-            return upstream
-        upstream = longer
+        longer = at_start.copy()
+        np.maximum.at(
+            longer, after, np.minimum(at_start[lane] + along[nodes.last[lane]] + link, UPSTREAM_CAP)
+        )
+        if np.array_equal(longer, at_start):
+            return np.minimum(at_start[nodes.lane] + along, UPSTREAM_CAP)
+        at_start = longer
 
 
-def _wrap(angle):
+def _wrap(angle: FloatArray) -> FloatArray:
     return (angle + np.pi) % (2 * np.pi) - np.pi

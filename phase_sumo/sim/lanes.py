@@ -56,6 +56,19 @@ class Lane:
 
 
 @dataclass(frozen=True)
+class GeoReference:
+    """Where the network lies on earth, as its file says it.
+
+    Attributes:
+        projection: PROJ string from WGS 84; "!" or "-" where the network has none.
+        net_offset: "x,y" in m, added to projected coordinates.
+    """
+
+    projection: str
+    net_offset: str
+
+
+@dataclass(frozen=True)
 class LaneNetwork:
     """All drivable lanes of a network and how they follow each other.
 
@@ -65,6 +78,7 @@ class LaneNetwork:
         successors: (from, to) index pairs: the end of one lane is the start of the other.
         left_hand: traffic drives on the left.
         warnings: what was left out or repaired while reading.
+        geo: where the network lies on earth, if its file says so.
     """
 
     name: str
@@ -72,3 +86,4 @@ class LaneNetwork:
     successors: tuple[tuple[int, int], ...]
     left_hand: bool = False
     warnings: tuple[str, ...] = ()
+    geo: GeoReference | None = None

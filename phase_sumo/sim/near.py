@@ -14,6 +14,31 @@ def ranges(counts: IntArray) -> IntArray:
     return np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - counts, counts)
 
 
+def abeam(
+    at: np.ndarray,
+    index: IntArray,
+    line: np.ndarray,
+    direction: np.ndarray,
+    bounds: tuple[IntArray, IntArray],
+    spacing: float,
+    rounds: int,
+) -> IntArray:
+    """The point of a line abeam of each position, found by sliding along the line.
+
+    Args:
+        at: [Q, 2] m.
+        index: [Q] points to begin at.
+        line, direction: [P, 2] evenly spaced points of lines, m, and unit directions there.
+        bounds: [Q] first and last point of the line that each position slides along.
+        spacing: m between points.
+        rounds: how often to slide; each round leaves a small share of the way on curves.
+    """
+    for _ in range(rounds):
+        ahead = ((at - line[index]) * direction[index]).sum(1)
+        index = np.clip(index + np.rint(ahead / spacing).astype(np.int64), *bounds)
+    return index
+
+
 def pairs_within(query: np.ndarray, points: np.ndarray, radius: float) -> tuple[IntArray, IntArray]:
     """All (query index, point index) pairs at most ``radius`` m apart, sorted by query index.
 
@@ -31,19 +56,15 @@ def pairs_within(query: np.ndarray, points: np.ndarray, radius: float) -> tuple[
     key = square[:, 0] * rows + square[:, 1]
     order = np.argsort(key, kind="stable")
     key = key[order]
-    found: list[tuple[IntArray, IntArray]] = []
-    for column in (-1, 0, 1):
-        # the three squares of a column are neighbours in the sorted keys
-        low = (home[:, 0] + column) * rows + home[:, 1] - 1
-        first, last = np.searchsorted(key, low, "left"), np.searchsorted(key, low + 2, "right")
-        counts = last - first
-        q = np.repeat(np.arange(len(query)), counts)
-        p = order[np.repeat(first, counts) + ranges(counts)]
-        close = ((query[q] - points[p]) ** 2).sum(1) <= radius * radius
-        found.append((q[close], p[close]))
-    q, p = np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
-    order = np.argsort(q, kind="stable")
-    return q[order], p[order]
+    # the three squares of a column are neighbours in the sorted keys
+    low = (home[:, :1] + (-1, 0, 1)) * rows + home[:, 1:] - 1
+    first, last = np.searchsorted(key, low, "left"), np.searchsorted(key, low + 2, "right")
+    counts = (last - first).ravel()
+    q = np.repeat(np.arange(len(query)), (last - first).sum(1))
+    p = order[np.repeat(first.ravel(), counts) + ranges(counts)]
+    dx, dy = query[q, 0] - points[p, 0], query[q, 1] - points[p, 1]
+    close = dx * dx + dy * dy <= radius * radius
+    return q[close], p[close]
 
 
 def nearest(query: np.ndarray, points: np.ndarray, radius: float) -> tuple[IntArray, NDArray[np.float64]]:
@@ -54,11 +75,13 @@ def nearest(query: np.ndarray, points: np.ndarray, radius: float) -> tuple[IntAr
     """
     index = np.full(len(query), -1, np.int64)
     distance = np.full(len(query), np.inf)
-    q, p = pairs_within(query, points, radius)
-    d = np.hypot(*(np.asarray(query, np.float64)[q] - np.asarray(points, np.float64)[p]).T)
-    order = np.lexsort((d, q))
-    q, p, d = q[order], p[order], d[order]
-    first = np.ones(len(q), bool)
-    first[1:] = q[1:] != q[:-1]
-    index[q[first]], distance[q[first]] = p[first], d[first]
+    query, points = np.asarray(query, np.float64), np.asarray(points, np.float64)
+    for reach in (radius / 4, radius / 2, radius):  # most have a point close by, among few candidates
+        missing = np.flatnonzero(index < 0)
+        q, p = pairs_within(query[missing], points, reach)
+        q = missing[q]
+        d = np.hypot(query[q, 0] - points[p, 0], query[q, 1] - points[p, 1])
+        np.minimum.at(distance, q, d)
+        best = np.flatnonzero(d == distance[q])[::-1]  # the first of equally near ones is written last
+        index[q[best]] = p[best]
     return index, distance

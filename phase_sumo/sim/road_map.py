@@ -24,6 +24,8 @@ class RoadKind(IntEnum):
 
 
 CELL_SIZE = 4.0  # m
+BLOCK_BITS = 5
+BLOCK = 2**BLOCK_BITS  # grid squares along a block's side; only blocks with road in them are stored
 POINTS_PER_CELL = 32  # R, road points of an observation
 SEGMENTS_PER_CELL = 32  # border segments that a box centred in the cell can touch
 CONTACT_REACH = 12.0  # m: half diagonal of the longest box + half diagonal of a cell
@@ -47,10 +49,13 @@ class RoadMap:
         cell_segments: [C, G] indices into the segments within `CONTACT_REACH` of the cell centre.
         cell_yaw: [C] direction in rad of the lane centre nearest to the cell centre.
         cell_off_road: [C] bool, no lane reaches into the cell.
-        grid: [sum of nx*ny] compact cell of every grid square, C-1 where there is no road.
-        grid_offset: [M] first grid square of each map.
+        grid: [blocks * BLOCK^2] compact cell of every grid square of the stored blocks, C-1 where there is
+            no road. Squares are 4 m wide; within a block they are row-major. Each map's first block is empty.
+        grid_block: [sum of nx*ny + 1] first square in ``grid`` of every block; where there is no road, and
+            in each map's last entry, which stands for positions off the map, that of an empty block.
+        grid_offset: [M] first block of each map in ``grid_block``.
         grid_origin: [M, 2] lower left corner in m.
-        grid_shape: [M, 2] nx, ny; squares are row-major: index = ix * ny + iy.
+        grid_shape: [M, 2] nx, ny in blocks, row-major: index = ix * ny + iy.
     """
 
     point_xy: Tensor
@@ -63,6 +68,7 @@ class RoadMap:
     cell_yaw: Tensor
     cell_off_road: Tensor
     grid: Tensor
+    grid_block: Tensor
     grid_offset: Tensor
     grid_origin: Tensor
     grid_shape: Tensor
@@ -83,21 +89,27 @@ class RoadMap:
         origin = self.grid_origin[map_index].view(-1, *extra, 2)
         shape = self.grid_shape[map_index].view(-1, *extra, 2)
         square = torch.floor((xy - origin) / CELL_SIZE).long()
-        inside = ((square >= 0) & (square < shape)).all(-1)
-        flat = square[..., 0] * shape[..., 1] + square[..., 1]
+        block = square >> BLOCK_BITS
+        inside = ((block >= 0) & (block < shape)).all(-1)
+        flat = block[..., 0] * shape[..., 1] + block[..., 1]
         flat = flat + self.grid_offset[map_index].view(-1, *extra)
-        return torch.where(inside, self.grid[torch.where(inside, flat, 0)], self.cell_yaw.shape[0] - 1)
+        local = square & (BLOCK - 1)
+        first = self.grid_block[torch.where(inside, flat, -1)]
+        return self.grid[first + local[..., 0] * BLOCK + local[..., 1]]
 
     def to(self, device: torch.device | str) -> RoadMap:
         return RoadMap(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The tensors as numpy arrays, for an ``.npz`` bundle."""
-        return {f.name: getattr(self, f.name).cpu().numpy() for f in fields(self)}
+        """The tensors as numpy arrays for an ``.npz`` bundle, indices in 32 bits."""
+        arrays = {f.name: getattr(self, f.name).cpu().numpy() for f in fields(self)}
+        return {k: v.astype(np.int32) if v.dtype == np.int64 else v for k, v in arrays.items()}
 
     @staticmethod
     def from_arrays(arrays: dict[str, np.ndarray]) -> RoadMap:
-        return RoadMap(**{f.name: torch.from_numpy(np.array(arrays[f.name])) for f in fields(RoadMap)})
+        """Back from `arrays`; torch gathers by 64-bit indices."""
+        tensors = {f.name: torch.from_numpy(np.array(arrays[f.name])) for f in fields(RoadMap)}
+        return RoadMap(**{k: v.long() if v.dtype == torch.int32 else v for k, v in tensors.items()})
 
 
 def merge(maps: list[RoadMap]) -> RoadMap:
@@ -109,7 +121,7 @@ def merge(maps: list[RoadMap]) -> RoadMap:
     segments = sum(m.segment_kind.shape[0] - 1 for m in maps)
     cells = sum(m.cell_yaw.shape[0] - 1 for m in maps)
     tables: dict[str, list[Tensor]] = {f.name: [] for f in fields(RoadMap)}
-    first_point = first_segment = first_cell = first_square = 0
+    first_point = first_segment = first_cell = first_square = first_block = 0
     for m in maps:
         own_points, own_segments = m.point_kind.shape[0] - 1, m.segment_kind.shape[0] - 1
         own_cells = m.cell_yaw.shape[0] - 1
@@ -118,7 +130,8 @@ def merge(maps: list[RoadMap]) -> RoadMap:
         tables["cell_points"].append(_shift(m.cell_points[:-1], own_points, first_point, points))
         tables["cell_segments"].append(_shift(m.cell_segments[:-1], own_segments, first_segment, segments))
         tables["grid"].append(_shift(m.grid, own_cells, first_cell, cells))
-        tables["grid_offset"].append(m.grid_offset + first_square)
+        tables["grid_block"].append(m.grid_block + first_square)
+        tables["grid_offset"].append(m.grid_offset + first_block)
         tables["grid_origin"].append(m.grid_origin)
         tables["grid_shape"].append(m.grid_shape)
         first_point, first_segment, first_cell = (
@@ -126,7 +139,7 @@ def merge(maps: list[RoadMap]) -> RoadMap:
             first_segment + own_segments,
             first_cell + own_cells,
         )
-        first_square += m.grid.shape[0]
+        first_square, first_block = first_square + m.grid.shape[0], first_block + m.grid_block.shape[0]
     for name in OWN_VALUES:
         tables[name].append(getattr(maps[0], name)[-1:])
     tables["cell_points"].append(torch.full_like(maps[0].cell_points[-1:], points))

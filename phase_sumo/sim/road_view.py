@@ -7,6 +7,8 @@ sides up to 80 m ahead, which show curves, lane ends and ramp noses.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,109 +27,167 @@ EDGE_AHEAD = (0, 15, 30, 50, 80)  # m, road edge on either side
 SPARE_EDGE_AHEAD = (8, 22, 40, 65)  # m
 SPARE_OWN_AHEAD = (0, 10, 22, 40, 60, 90)  # m
 SPARE_BESIDE_AHEAD = (15, 35)  # m
+OWN_DISTANCES = {*OWN_AHEAD, *EDGE_AHEAD, *BOUNDARY_AHEAD, *SPARE_EDGE_AHEAD, *SPARE_OWN_AHEAD}
 EDGE_REACH = 30.0  # m sideways
 BOUNDARY_REACH = 6.0  # m sideways
+JUMPS = 7  # powers of two of metres: no one looks 128 m ahead
+NODES_AT_ONCE = 8192  # to bound memory
 ABEAM = 2.5  # m: a border point this far ahead or behind counts as beside
 
 
 def view_points(
     graph: LaneGraph, xy: np.ndarray, kind: IntArray, of_node: IntArray, nodes: IntArray
-) -> IntArray:
+) -> NDArray[np.int32]:
     """[len(nodes), R] road points seen from each node, -1 padded.
 
     Args:
         graph: lane graph.
-        xy, kind: [P, 2] m and [P], the road points.
+        xy, kind: [P, 2] m and [P], the road points; lane centres come first.
         of_node: [V] lane-centre point of each node.
-        nodes: nodes to look from.
+        nodes: nodes to look from; equal ones are looked up once.
     """
-    onward = _onward(graph)
-    edges = _beside(graph, xy, kind == RoadKind.ROAD_EDGE, EDGE_REACH)
-    boundary = (kind == RoadKind.LANE_BOUNDARY) | (kind == RoadKind.SOLID_BOUNDARY)
-    boundaries = _beside(graph, xy, boundary, BOUNDARY_REACH)
-    left, right = (_at(side.astype(np.int64), nodes) for side in (graph.left, graph.right))
+    looked_from = np.bincount(nodes, minlength=len(of_node)) > 0
+    used, row = np.flatnonzero(looked_from), np.cumsum(looked_from) - 1
+    walk = _Walk.of(graph)
+    centre = np.append(of_node, -1)
+    edges = _beside(graph, xy, kind, of_node, (RoadKind.ROAD_EDGE,), EDGE_REACH)
+    boundaries = _beside(
+        graph, xy, kind, of_node, (RoadKind.LANE_BOUNDARY, RoadKind.SOLID_BOUNDARY), BOUNDARY_REACH
+    )
+    lanes = [np.where(side >= 0, side, len(side)) for side in (graph.left, graph.right)]
+    seen = np.empty((len(used), POINTS_PER_CELL), np.int32)
+    for begin in range(0, len(used), NODES_AT_ONCE):
+        part = slice(begin, begin + NODES_AT_ONCE)
+        at = used[part]
+        own = {d: walk.ahead(at, d) for d in OWN_DISTANCES}
+        beside = [{d: walk.ahead(lane[at], d) for d in BESIDE_AHEAD + SPARE_BESIDE_AHEAD} for lane in lanes]
+        columns = [(centre, own[d]) for d in OWN_AHEAD]
+        columns += [(side, own[d]) for d in EDGE_AHEAD for side in edges]
+        columns += [(centre, lane[d]) for lane in beside for d in BESIDE_AHEAD]
+        columns += [(side, own[d]) for d in BOUNDARY_AHEAD for side in boundaries]
+        columns += [(centre, walk.fork(at, d)) for d in FORK_AHEAD]
+        columns += [(side, own[d]) for d in SPARE_EDGE_AHEAD for side in edges]
+        columns += [(centre, own[d]) for d in SPARE_OWN_AHEAD]
+        columns += [(centre, lane[d]) for lane in beside for d in SPARE_BESIDE_AHEAD]
+        points = [table[node].astype(np.int32) for table, node in columns]
+        families = [
+            0 if table is centre else 1 if any(table is side for side in edges) else 2 for table, _ in columns
+        ]
+        seen[part] = _first_distinct(points, families, POINTS_PER_CELL)
+    return seen[row[nodes]]
 
-    own = _walk(onward, nodes, max(OWN_AHEAD))
-    beside = [_walk(onward, lane, max(BESIDE_AHEAD)) for lane in (left, right)]
-    fork = _walk(onward, nodes, max(OWN_AHEAD), fork=graph.successor[:, 1].astype(np.int64))
 
-    columns = [_at(of_node, own[d]) for d in OWN_AHEAD]
-    columns += [_at(side, own[d]) for d in EDGE_AHEAD for side in edges]
-    columns += [_at(of_node, lane[d]) for lane in beside for d in BESIDE_AHEAD]
-    columns += [_at(side, own[d]) for d in BOUNDARY_AHEAD for side in boundaries]
-    columns += [_at(of_node, fork[d]) for d in FORK_AHEAD]
-    columns += [_at(side, own[d]) for d in SPARE_EDGE_AHEAD for side in edges]
-    columns += [_at(of_node, own[d]) for d in SPARE_OWN_AHEAD]
-    columns += [_at(of_node, lane[d]) for lane in beside for d in SPARE_BESIDE_AHEAD]
-    return _first_distinct(np.stack(columns, axis=1), POINTS_PER_CELL)
+@dataclass(frozen=True)
+class _Walk:
+    """Ways ahead along the road; node number V stands for "beyond the road's end".
 
+    Attributes:
+        jumps: [7][V + 1] node 1, 2, 4 ... 64 m ahead of each node.
+        branch: [V + 1] the other branch at a fork, V without one.
+        to_fork: [V + 1] metres to the next fork ahead; 128 or more means none in sight.
+    """
 
-def _at(table: IntArray, index: IntArray) -> IntArray:
-    """``table[index]``, -1 where the index is."""
-    return np.where(index >= 0, table[index], -1)
+    jumps: list[IntArray]
+    branch: IntArray
+    to_fork: IntArray
+
+    @staticmethod
+    def of(graph: LaneGraph) -> _Walk:
+        beyond = len(graph.node_lane)
+        onward = _onward(graph)
+        branch = np.append(graph.successor[:, 1].astype(np.int64), -1)
+        jumps = [np.append(np.where(onward >= 0, onward, beyond), beyond)]
+        to_fork = np.where(branch >= 0, 0, 2**JUMPS)
+        for k in range(JUMPS):
+            jump = jumps[-1]
+            to_fork = np.minimum(to_fork, to_fork[jump] + 2**k)
+            jumps.append(jump[jump])
+        return _Walk(jumps[:JUMPS], np.where(branch >= 0, branch, beyond), to_fork)
+
+    def ahead(self, node: IntArray, metres: int) -> IntArray:
+        """Node ``metres`` ahead of each."""
+        for k, jump in enumerate(self.jumps):
+            if metres >> k & 1:
+                node = jump[node]
+        return node
+
+    def fork(self, node: IntArray, metres: int) -> IntArray:
+        """Node ``metres`` ahead of each along the other branch of the first fork, V before it is reached."""
+        result = np.full(len(node), len(self.branch) - 1)
+        rows = np.flatnonzero(self.to_fork[node] < metres)
+        straight = self.to_fork[node[rows]]
+        branch = self.branch[self._ahead_each(node[rows], straight)]
+        result[rows] = self._ahead_each(branch, metres - 1 - straight)
+        return result
+
+    def _ahead_each(self, node: IntArray, metres: IntArray) -> IntArray:
+        for k, jump in enumerate(self.jumps):
+            node = np.where(metres >> k & 1, jump[node], node)
+        return node
 
 
 def _onward(graph: LaneGraph) -> IntArray:
     """[V] next node; at a lane's end the road goes on in the lane beside it."""
-    onward = graph.successor[:, 0].astype(np.int64)
+    following = graph.successor[:, 0].astype(np.int64)
+    onward = following.copy()
     for side in (graph.left, graph.right):
-        over = _at(graph.successor[:, 0].astype(np.int64), side.astype(np.int64))
-        onward = np.where(onward >= 0, onward, over)
+        over = np.flatnonzero((onward < 0) & (side >= 0))
+        onward[over] = following[side[over]]
     return onward
 
 
-def _walk(onward: IntArray, start: IntArray, steps: int, fork: IntArray | None = None) -> list[IntArray]:
-    """Nodes 0, 1, 2 ... metres ahead of ``start``, -1 beyond the road's end.
-
-    With ``fork`` [V] (the other branch, -1 without one) the walk takes the first other branch it meets,
-    and is -1 until then.
-    """
-    path = [start]
-    taken = np.zeros(len(start), bool)
-    here = start
-    for _ in range(steps):
-        ahead = _at(onward, here)
-        if fork is not None:
-            branch = _at(fork, here)
-            turn = (branch >= 0) & ~taken
-            ahead, taken = np.where(turn, branch, ahead), taken | turn
-        here = ahead
-        path.append(here if fork is None else np.where(taken, here, -1))
-    return path
-
-
 def _beside(
-    graph: LaneGraph, xy: np.ndarray, mask: NDArray[np.bool_], reach: float
+    graph: LaneGraph,
+    xy: np.ndarray,
+    kind: IntArray,
+    of_node: IntArray,
+    kinds: tuple[RoadKind, ...],
+    reach: float,
 ) -> tuple[IntArray, IntArray]:
-    """Nearest masked point to the left and to the right of every node, -1 where there is none."""
-    candidates = np.flatnonzero(mask)
-    node, k = pairs_within(graph.node_xy, xy[candidates], reach)
-    delta = xy[candidates[k]] - graph.node_xy[node]
+    """[V + 1] nearest point of ``kinds`` to the left and to the right of every node's lane-centre point.
+
+    -1 where there is none, and for the node beyond the road's end.
+    """
+    candidates = np.flatnonzero(np.isin(kind, kinds))
+    node = np.flatnonzero(np.diff(of_node, prepend=-1))  # the node each lane-centre point lies on
     yaw = graph.node_yaw[node]
-    along = delta[:, 0] * np.cos(yaw) + delta[:, 1] * np.sin(yaw)
-    across = delta[:, 1] * np.cos(yaw) - delta[:, 0] * np.sin(yaw)
-    sides = []
-    for sign in (1.0, -1.0):
-        found = np.full(len(graph.node_yaw), -1, np.int64)
-        near = (np.abs(along) <= ABEAM) & (sign * across > 0)
-        n, p, key = node[near], candidates[k[near]], np.abs(across[near]) + 0.1 * np.abs(along[near])
-        order = np.lexsort((-key, n))  # the nearest is written last
-        found[n[order]] = p[order]
-        sides.append(found)
-    return sides[0], sides[1]
+    found = np.full((2, len(node)), -1)
+    for radius in (reach / 4, reach / 2, reach):  # the far ones only where a side has no near one
+        missing = np.flatnonzero((found < 0).any(0))
+        point, k = pairs_within(xy[missing], xy[candidates], radius)
+        point = missing[point]
+        x, y = (xy[candidates[k]] - xy[point]).T
+        along, across = _turned(x, y, yaw[point])
+        apart = np.abs(across) + 0.1 * np.abs(along)
+        for side, sign in zip(found, (1.0, -1.0), strict=True):
+            rows = np.flatnonzero((np.abs(along) <= ABEAM) & (sign * across > 0) & (side[point] < 0))
+            rows = rows[np.argsort(-apart[rows], kind="stable")]  # the nearest is written last
+            side[point[rows]] = candidates[k[rows]]
+    closest = of_node[np.minimum(np.arange(len(of_node)) + round(POINT_SPACING / 2), graph.lane_end)]
+    left, right = found[:, closest]
+    return np.append(left, -1), np.append(right, -1)
 
 
-def _first_distinct(columns: IntArray, count: int) -> IntArray:
-    """The first ``count`` distinct entries >= 0 of every row, in their order, -1 padded."""
-    rows, width = columns.shape
-    order = np.argsort(columns, axis=1, kind="stable")
-    ordered = np.take_along_axis(columns, order, 1)
-    repeated = np.zeros((rows, width), bool)
-    repeated[:, 1:] = ordered[:, 1:] == ordered[:, :-1]
-    keep = np.zeros((rows, width), bool)
-    np.put_along_axis(keep, order, ~repeated & (ordered >= 0), 1)
-    rank = np.cumsum(keep, axis=1) - 1
-    result = np.full((rows, count), -1, np.int64)
-    r, c = np.nonzero(keep & (rank < count))
-    result[r, rank[r, c]] = columns[r, c]
+def _turned(x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Metres along and to the left of a direction."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return x * cos + y * sin, y * cos - x * sin
+
+
+def _first_distinct(columns: list[NDArray[np.int32]], families: list[int], count: int) -> NDArray[np.int32]:
+    """[n, count] the first distinct entries >= 0 across ``columns`` [n], in their order, -1 padded.
+
+    Columns of different families have no entry in common.
+    """
+    rows = len(columns[0])
+    result = np.full((rows, count), -1, np.int32)
+    filled = np.zeros(rows, np.int64)
+    for k, column in enumerate(columns):
+        fresh = (column >= 0) & (filled < count)
+        for earlier in range(k):
+            if families[earlier] == families[k]:
+                fresh &= column != columns[earlier]
+        row = np.flatnonzero(fresh)
+        result[row, filled[row]] = column[row]
+        filled[row] += 1
     return result

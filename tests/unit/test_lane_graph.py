@@ -141,3 +141,23 @@ def test_abreast_on_a_curve_means_the_same_bearing():
         node = np.flatnonzero(side >= 0)
         assert len(node) > 90
         assert np.abs(bearing[side[node]] - bearing[node]).max() < 0.6 / 100.0
+
+
+def test_only_the_common_stretch_of_two_lanes_is_abreast():
+    lanes = [lane("long", [(0, 0), (100, 0)], left=1), lane("short", [(30, W), (70, W)], right=0)]
+    graph = graph_of(lanes)
+    beside = graph.left[:101]
+    np.testing.assert_array_equal(np.flatnonzero(beside >= 0), np.arange(29, 72))
+    inner = np.arange(30, 71)
+    np.testing.assert_allclose(graph.node_xy[beside[inner], 0], graph.node_xy[inner, 0])
+    np.testing.assert_array_equal(graph.right[101:], np.arange(30, 71))
+
+
+def test_lanes_of_unequal_length_are_abreast_where_they_are_nearest():
+    """One lane is digitised with a bend at its end: equal shares of length would be metres apart."""
+    bent = [(0.0, 0.0), (200.0, 0.0), (203.0, -12.0)]
+    graph = graph_of([lane("bent", bent, left=1), lane("straight", [(0, W), (200, W)], right=0)])
+    node = np.flatnonzero(graph.left[graph.node_lane == 0] >= 0)
+    assert {*range(200)} <= set(node.tolist())
+    apart = graph.node_xy[graph.left[node[:200]], 0] - graph.node_xy[node[:200], 0]
+    assert np.abs(apart).max() <= 0.51

@@ -1,4 +1,4 @@
-"""The start-goal pool against a slow search that is allowed to change lanes anywhere."""
+"""The start-goal pool on small roads; tests/properties/test_pool_search.py checks every single pair."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 from phase_sumo.bridge.network import read_network
 from phase_sumo.config import REGIMES, Regime
 from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
+from phase_sumo.sim.lanes import Lane, LaneNetwork
 from phase_sumo.sim.pool import (
     GOALS_PER_GROUP,
     TRUCK_UPSTREAM,
@@ -17,6 +18,7 @@ from phase_sumo.sim.pool import (
     build_pool,
     lane_change_length,
 )
+from phase_sumo.sim.synthetic_road import freeway
 from tests.conftest import straight_network
 from tests.small_nets import SmallNet, lanes_from
 
@@ -171,3 +173,33 @@ def test_a_road_too_short_for_the_regime_has_an_empty_pool():
     pool = build_pool(graph, long_ways)
     assert len(pool.start) == 0
     assert pool.arrays()["truck"].dtype == bool
+
+
+def test_as_many_pairs_per_lane_km_on_long_roads_as_on_short_ones():
+    graphs = [build_lane_graph(freeway(lane_km)) for lane_km in (30, 90)]
+    for regime in REGIMES:
+        few, many = (len(build_pool(g, regime).start) / len(g.node_lane) for g in graphs)
+        assert few == pytest.approx(many, rel=0.05)
+
+
+@pytest.mark.parametrize("length", [0.5, 2.0, 100.0])
+def test_a_lone_lane_however_short_has_a_pool(length):
+    pool = build_pool(build_lane_graph(straight_network(lanes=1, length=length)), JAMMED)
+    assert (len(pool.start) > 0) == (length > JAMMED.path_bounds[0])
+
+
+def test_no_path_leads_over_a_bend_too_tight_for_the_regime():
+    angle = np.linspace(0.0, np.pi / 2, 60)
+    bend = np.stack((80.0 * np.sin(angle), 80.0 - 80.0 * np.cos(angle)), -1)
+    points = np.concatenate(([[-200.0, 0.0]], bend, [[80.0, 280.0]]))
+    length = float(np.hypot(*np.diff(points, axis=0).T).sum())
+    graph = build_lane_graph(LaneNetwork("bend", (Lane("a_0", "a", points, 3.6, 30.0, length),), ()))
+    slow = build_pool(graph, JAMMED)  # 6.7 m/s: 0.6 m/s^2
+    fast = build_pool(graph, replace(JAMMED, base_speed=20.0))  # 5 m/s^2
+
+    def through_the_bend(pool):
+        curved = np.abs(graph.node_curvature) > 0.01
+        return [bool(curved[a : b + 1].any()) for a, b in zip(pool.start, pool.goal, strict=True)]
+
+    assert any(through_the_bend(slow))
+    assert len(fast.start) and not any(through_the_bend(fast))
