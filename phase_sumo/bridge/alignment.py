@@ -1,8 +1,8 @@
 """Smooth lane ends at junctions, so that a tractor with a trailer can follow every centre line.
 
 Real networks shift lanes sideways at junctions, by up to a lane width within 5 m. Here the ends of the
-lanes are moved towards each other, blended over `BLEND` metres, and the connector between them becomes a
-smooth curve.
+lanes are moved towards each other, blended over at most `BLEND` metres, and the connector between them
+becomes a smooth curve. How the lanes on both sides share a jump is worked out in `lane_shifts`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_sumo.bridge.lane_shifts import lane_shifts
 from phase_sumo.bridge.lines import (
     arc_length,
+    between,
     corners,
     direction,
     heading,
@@ -24,26 +26,33 @@ from phase_sumo.bridge.lines import (
     without_duplicates,
     wrap,
 )
-from phase_sumo.bridge.net_xml import XmlLane
 
 FloatArray = NDArray[np.float64]
 JUMP = 0.3  # m sideways at a junction that a vehicle is not asked to follow
-BLEND = 15.0, 30.0  # m, shortest and longest blend at either side of a junction
-BLEND_PER_METRE = 16.0  # m of blend per metre of sideways shift
-RIGID = 40.0  # m: a shorter lane has no room for two blends and moves as a whole
+BLEND = 15.0, 60.0  # m, shortest and longest blend at either side of a junction
+BLEND_CURVATURE = 0.006  # 1/m that a blend reaches where it has the room: 5.4 m/s^2 at 30 m/s
 COINCIDE = 0.5  # m: lanes whose ends are closer need no connector
-TIGHT = 0.1  # rad/m that a connector turns at most; the lanes take the rest of a corner
+TIGHT = 0.06  # rad/m that a connector turns at most; the lanes take the rest of a corner
 SAME_ROAD = 1.2  # rad: larger turns at a junction are turns into another road
-CORNER = 0.15  # rad: a connector with a sharper corner is drawn anew
+CORNER = 0.1  # rad: a connector with a sharper corner is drawn anew
+FITS = 0.1  # m that SUMO's internal lanes may be off the lanes they join
 
 
 @dataclass(frozen=True)
 class Connector:
-    """From one lane's end to another lane's start; ``line`` is None where they coincide."""
+    """From one lane's end to another lane's start.
+
+    Attributes:
+        source, target: indices of the lanes.
+        chain: (id, edge, length in m) of the internal lanes on the way.
+        inner: [P, 2] their points, None where there are none.
+        line: [P, 2] the drawn connector, None where the lanes coincide or it is not drawn yet.
+    """
 
     source: int
     target: int
-    chain: tuple[XmlLane, ...] = ()
+    chain: tuple[tuple[str, str, float], ...] = ()
+    inner: FloatArray | None = None
     line: FloatArray | None = None
 
 
@@ -58,17 +67,39 @@ def align(
         abreast: pairs of lanes next to each other, which move together where their connectors allow it.
 
     Returns:
-        lines, connectors with their ``line``, and how many connections had a jump.
+        lines, connectors with their ``line``, and how many connections had a jump. Connections across
+        lanes are left out: they have no room to be smooth, and a lane change leads there as well.
     """
+    lines = _without_overlaps(lines, connectors)
     yaws = _end_yaws(lines, connectors)
     lines = [rounded(line, yaws[2 * i], yaws[2 * i + 1]) for i, line in enumerate(lines)]
-    jumps = np.array([_jump(lines, c) for c in connectors])
+    straight = np.array([_goes_straight(lines, c) for c in connectors], bool)
+    jumps = np.array(
+        [_jump(lines, c) if ahead else 0.0 for c, ahead in zip(connectors, straight, strict=True)]
+    )
     moved = int((np.abs(jumps) > JUMP).sum())
     if moved:
-        shifts = _shifts(lines, connectors, jumps, abreast)
+        ends = np.array([(2 * c.source + 1, 2 * c.target) for c in connectors])[straight]
+        lengths = np.array([arc_length(line)[-1] for line in lines])
+        shifts, left = lane_shifts(lengths, ends, jumps[straight], np.array(abreast, np.int64).reshape(-1, 2))
         lines = [_shifted(line, shifts[2 * i], shifts[2 * i + 1]) for i, line in enumerate(lines)]
-    drawn = [_drawn(lines, c, bool(abs(jump) > JUMP)) for c, jump in zip(connectors, jumps, strict=True)]
-    return lines, drawn, moved
+        across = set(np.flatnonzero(straight)[np.abs(left) > JUMP])
+        connectors = [c for k, c in enumerate(connectors) if k not in across]
+    return lines, [_drawn(lines, c) for c in connectors], moved
+
+
+def _without_overlaps(lines: list[FloatArray], connectors: list[Connector]) -> list[FloatArray]:
+    """Lanes that begin behind the end of the lane before them start there instead."""
+    behind = np.zeros(len(lines))
+    for c in connectors:
+        a, b = lines[c.source], lines[c.target]
+        if _goes_straight(lines, c):
+            behind[c.target] = max(behind[c.target], -float((b[0] - a[-1]) @ direction(a, at_end=True)))
+    result = []
+    for line, start in zip(lines, behind, strict=True):
+        length = float(arc_length(line)[-1])
+        result.append(between(line, start, length) if 0.0 < start < 0.5 * length else line)
+    return result
 
 
 def _end_yaws(lines: list[FloatArray], connectors: list[Connector]) -> FloatArray:
@@ -97,6 +128,11 @@ def _end_yaws(lines: list[FloatArray], connectors: list[Connector]) -> FloatArra
     return yaws
 
 
+def _goes_straight(lines: list[FloatArray], c: Connector) -> bool:
+    a, b = direction(lines[c.source], at_end=True), direction(lines[c.target], at_end=False)
+    return bool(a @ b > np.cos(SAME_ROAD))
+
+
 def _jump(lines: list[FloatArray], c: Connector) -> float:
     """Sideways offset in m (positive left) that a connector must bridge; 0 where it has room for it.
 
@@ -105,42 +141,10 @@ def _jump(lines: list[FloatArray], c: Connector) -> float:
     a, b = lines[c.source], lines[c.target]
     mean = direction(a, at_end=True) + direction(b, at_end=False)
     size = float(np.hypot(*mean))
-    if size < 1e-3:
-        return 0.0
     gap = b[0] - a[-1]
     across = float(mean[0] * gap[1] - mean[1] * gap[0]) / size
     along = float(mean @ gap) / size
-    return 0.0 if along > BLEND_PER_METRE * abs(across) else across
-
-
-def _shifts(
-    lines: list[FloatArray],
-    connectors: list[Connector],
-    jumps: NDArray[np.float64],
-    abreast: list[tuple[int, int]],
-) -> FloatArray:
-    """[2 * lanes] sideways shift of every lane's start (even) and end (odd), positive left.
-
-    Lane ends that are connected form groups that move rigidly against each other, joined in the order of
-    the smallest jump, so that the straight-on connection decides where a lane also forks. Lanes abreast
-    then join their groups, and each group is placed where its lanes move least.
-    """
-    offset = np.zeros(2 * len(lines))
-    group = np.arange(2 * len(lines))
-    ties = [(2 * i, 2 * i + 1, 0.0) for i, line in enumerate(lines) if arc_length(line)[-1] < RIGID]
-    order = np.argsort(np.abs(jumps), kind="stable")
-    ties += [(2 * connectors[k].source + 1, 2 * connectors[k].target, -float(jumps[k])) for k in order]
-    ties += [(2 * i + end, 2 * j + end, 0.0) for i, j in abreast for end in (0, 1)]
-    for a, b, step in ties:
-        if group[a] == group[b]:
-            continue
-        members = group == group[b]
-        offset[members] += offset[a] + step - offset[b]
-        group[members] = group[a]
-    for g in np.unique(group):
-        members = group == g
-        offset[members] -= np.median(offset[members])
-    return offset
+    return 0.0 if along > _blend(across) else across
 
 
 def _shifted(line: FloatArray, at_start: float, at_end: float) -> FloatArray:
@@ -149,17 +153,14 @@ def _shifted(line: FloatArray, at_start: float, at_end: float) -> FloatArray:
         return line
     fine = resample(line, 1.0)
     s = arc_length(fine)
-    if s[-1] < RIGID:
-        weight = _smooth(s / s[-1])
-        shift = at_start * (1 - weight) + at_end * weight
-    else:
-        shift = at_start * _smooth(1 - s / _blend(at_start))
-        shift += at_end * _smooth(1 - (s[-1] - s) / _blend(at_end))
+    shift = at_start * _smooth(1 - s / min(_blend(at_start), s[-1]))
+    shift += at_end * _smooth(1 - (s[-1] - s) / min(_blend(at_end), s[-1]))
     return fine + shift[:, None] * normals(fine)
 
 
 def _blend(shift: float) -> float:
-    return float(np.clip(BLEND_PER_METRE * abs(shift), *BLEND))
+    """m over which a quintic moves sideways by ``shift`` m; its largest curvature is 5.77 shift / m^2."""
+    return float(np.clip(np.sqrt(5.77 * abs(shift) / BLEND_CURVATURE), *BLEND))
 
 
 def _smooth(t: FloatArray) -> FloatArray:
@@ -167,19 +168,15 @@ def _smooth(t: FloatArray) -> FloatArray:
     return t**3 * (10 - 15 * t + 6 * t**2)
 
 
-def _drawn(lines: list[FloatArray], c: Connector, jumped: bool) -> Connector:
+def _drawn(lines: list[FloatArray], c: Connector) -> Connector:
+    """SUMO's own internal lanes where they still fit the two lanes smoothly, else a curve between them."""
     a, b = lines[c.source], lines[c.target]
-    if not c.chain and np.hypot(*(b[0] - a[-1])) < COINCIDE:
+    if np.hypot(*(b[0] - a[-1])) < COINCIDE:
         return c
-    if c.chain and not jumped:
-        inner = np.concatenate([part.points for part in c.chain])
-        line = without_duplicates(np.concatenate((a[-1:], inner, b[:1])), closer=0.2)
-        if len(line) >= 2 and _straight_enough(line):
+    if c.inner is not None and np.hypot(*(c.inner[[0, -1]] - (a[-1], b[0])).T).max() < FITS:
+        line = without_duplicates(np.concatenate((a[-1:], c.inner, b[:1])), closer=0.2)
+        if len(line) >= 2 and (np.abs(corners(np.concatenate((a[-2:-1], line, b[1:2])))) < CORNER).all():
             return replace(c, line=line)
     line = hermite(a[-1], b[0], direction(a, at_end=True), direction(b, at_end=False))
     line = without_duplicates(line)
     return replace(c, line=line) if len(line) >= 2 else c
-
-
-def _straight_enough(line: FloatArray) -> bool:
-    return bool((np.abs(corners(line)) < CORNER).all())

@@ -13,6 +13,7 @@ FloatArray = NDArray[np.float64]
 KINK = 0.05  # rad: sharper corners of a lane are rounded
 ROUNDING = 15.0  # m at either side of a corner over which it is rounded at most
 SHORTEST_CHORD = 5.0  # m: corners closer together count as one curve
+SPIKE = 2.6  # rad: no road turns by this much in one point
 DETAIL = 0.1  # m: smaller wiggles between corners are dropped when a lane is rounded
 
 
@@ -27,9 +28,24 @@ def without_duplicates(points: FloatArray, closer: float = 0.02) -> FloatArray:
     return points[keep]
 
 
+def without_spikes(points: FloatArray) -> FloatArray:
+    """Points without duplicates and without those at which the line turns back on itself."""
+    points = without_duplicates(points)
+    while len(points) > 2 and (back := np.abs(corners(points)) > SPIKE).any():
+        points = without_duplicates(np.delete(points, int(back.argmax()) + 1, axis=0))
+    return points
+
+
 def arc_length(points: FloatArray) -> FloatArray:
     """[P] distance of each point from the first along the line, in m."""
     return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+
+
+def between(points: FloatArray, start: float, end: float) -> FloatArray:
+    """The part of a line from ``start`` to ``end`` m along it."""
+    s = arc_length(points)
+    ends = np.stack([np.interp((start, end), s, points[:, k]) for k in (0, 1)], axis=-1)
+    return np.concatenate((ends[:1], points[(s > start + 0.02) & (s < end - 0.02)], ends[1:]))
 
 
 def resample(points: FloatArray, step: float) -> FloatArray:

@@ -58,7 +58,11 @@ class PoseWriter:
         index = int(self._road.graph.node_lane[node])
         lane = self._road.network.lanes[index]
         best = (np.inf, at, 0.0)
-        for name in (*(part for part, _ in lane.parts), lane.id):
+        # a connector without internal lanes is on none of SUMO's lanes
+        names = [part for part, _ in lane.parts] or [lane.id] * (not lane.connector)
+        if not names:
+            return at
+        for name in names:
             x, y = nearest_on_line(self._sumo_shape(name), at)
             best = min(best, (float(np.hypot(at[0] - x, at[1] - y)), (x, y), lane.width))
         distance, (x, y), width = best

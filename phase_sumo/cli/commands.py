@@ -15,12 +15,15 @@ def convert(args: argparse.Namespace) -> Any:
     from phase_sumo.bridge import convert as converter
 
     with progress_bar("convert") as progress:
-        rows = converter.convert([Path(p) for p in args.networks], Path(args.out), progress)
+        rows = converter.convert(
+            args.networks, args.out, progress, args.keep, args.seed, args.stretch, args.left_hand
+        )
     for row in rows:
+        cut = f" in {row['stretches']} stretches" if row["stretches"] > 1 else ""
         print(
-            f"{row['name']}: {row['lanes']} lanes, {row['lane_km']:.1f} km of lane, {row['nodes']} nodes, "
-            f"{row['pairs']} start-goal pairs ({row['lane_change_pairs']} with lane changes), "
-            f"{row['seconds']:.1f} s"
+            f"{row['name']}: {row['lanes']} lanes, {row['lane_km']:.1f} km of lane{cut}, "
+            f"{row['nodes']} nodes, {row['pairs']} start-goal pairs "
+            f"({row['lane_change_pairs']} with lane changes), {row['seconds']:.1f} s"
         )
         for warning in row["warnings"]:
             print(f"  warning: {warning}")

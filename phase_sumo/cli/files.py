@@ -15,6 +15,7 @@ from phase_sumo.errors import PhaseError
 CLONE = Path(phase_sumo.__file__).resolve().parent.parent
 DEMO = CLONE / "scenarios" / "merge" / "merge.sumocfg"
 HELD_OUT = CLONE / "networks" / "held_out"
+NETWORKS = (".net.xml", ".net.xml.gz", ".osm", ".osm.gz", ".xodr", ".xodr.gz")
 Progress = Callable[[float, str], None]
 
 
@@ -35,23 +36,30 @@ def find_files(paths: list[str], endings: tuple[str, ...]) -> list[Path]:
 
 
 def load_maps(paths: list[str], keep: Path | None) -> list[Any]:
-    """Map bundles from ``.npz`` files, or from SUMO networks converted now (into ``keep``, if given)."""
+    """Map bundles from ``.npz`` files, or from road networks converted now (into ``keep``, if given)."""
     from phase_sumo.sim.bundle import load_bundle
 
     maps = []
-    for path in find_files(paths, (".npz", ".net.xml", ".net.xml.gz")):
+    for path in find_files(paths, (".npz", *NETWORKS)):
         if path.suffix == ".npz":
             maps.append(load_bundle(path))
             continue
-        from phase_sumo.bridge.convert import build_bundle
-        from phase_sumo.bridge.network import read_network
-        from phase_sumo.sim.bundle import save_bundle
+        from phase_sumo.bridge.convert import read_stretches
 
-        maps.append(build_bundle(read_network(path)))
-        if keep is not None:
-            keep.mkdir(parents=True, exist_ok=True)
-            save_bundle(keep / f"{maps[-1].name}.npz", maps[-1])
+        maps += [_converted(network, keep) for network in read_stretches(path)]
     return maps
+
+
+def _converted(network: Any, keep: Path | None) -> Any:
+    from phase_sumo.bridge.convert import build_bundle, load_or_build
+    from phase_sumo.sim.bundle import load_key, save_bundle
+
+    if keep is None:
+        return build_bundle(network)
+    bundle, path = load_or_build(network, keep), keep / f"{network.name}.npz"
+    if load_key(path) != bundle.key:
+        save_bundle(path, bundle)
+    return bundle
 
 
 def write_json(path: Path, result: Any) -> None:

@@ -32,9 +32,30 @@ def make_parser() -> argparse.ArgumentParser:
         sub.add_argument("--debug", action="store_true", help="show tracebacks")
         return sub
 
-    sub = add("convert", commands.convert, "SUMO networks to training maps (.npz) with a picture of each")
-    sub.add_argument("networks", nargs="+", metavar="NET", help=".net.xml or .net.xml.gz")
+    sub = add("convert", commands.convert, "road networks to training maps (.npz) with a picture of each")
+    sub.add_argument(
+        "networks",
+        nargs="+",
+        metavar="NET",
+        help=".net.xml, .osm (OpenStreetMap) or .xodr (OpenDRIVE), or .gz",
+    )
     sub.add_argument("--out", required=True, metavar="DIR", help="folder for bundles and pictures")
+    sub.add_argument(
+        "--keep",
+        choices=["freeway", "all"],
+        default="freeway",
+        help="motorways and trunk roads with their ramps, or every lane for cars or trucks",
+    )
+    sub.add_argument(
+        "--stretch",
+        type=float,
+        default=500.0,
+        metavar="METRES",
+        help="cut long networks into stretches of about this driving distance; 0 leaves them whole",
+    )
+    sub.add_argument(
+        "--left-hand", action="store_true", help="an .osm file is from where traffic drives on the left"
+    )
 
     sub = add("train", commands.train, "train a policy by self-play")
     sub.add_argument(

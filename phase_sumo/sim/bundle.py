@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import os
 import tempfile
@@ -17,11 +18,11 @@ from numpy.lib.npyio import NpzFile
 from phase_sumo.config import ScenarioConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.lane_graph import LaneGraph
-from phase_sumo.sim.lanes import LaneNetwork
+from phase_sumo.sim.lanes import GeoReference, LaneNetwork
 from phase_sumo.sim.pool import StartGoalPool
 from phase_sumo.sim.road_map import CELL_SIZE, POINTS_PER_CELL, SEGMENTS_PER_CELL, RoadMap
 
-FORMAT = "phase_sumo map bundle 2"  # count up whenever conversion writes something else
+FORMAT = "phase_sumo map bundle 3"  # count up whenever conversion writes something else
 LAYOUT = (CELL_SIZE, POINTS_PER_CELL, SEGMENTS_PER_CELL)  # a file with another grid does not fit the code
 
 
@@ -35,6 +36,7 @@ class MapBundle:
         graph: lane graph.
         pools: one per `config.REGIMES`, in that order.
         key: `bundle_key` of what it was made from, "" if unknown.
+        geo: geographic reference of the coordinates, None if the map has none.
     """
 
     name: str
@@ -42,22 +44,22 @@ class MapBundle:
     graph: LaneGraph
     pools: tuple[StartGoalPool, ...]
     key: str = ""
+    geo: GeoReference | None = None
 
 
-def bundle_key(source: bytes | LaneNetwork, scenario: ScenarioConfig, seed: int, *options: str) -> str:
+def bundle_key(network: LaneNetwork, scenario: ScenarioConfig, seed: int) -> str:
     """Hash of everything that a bundle depends on.
 
     Args:
-        source: content of the network file, or the lanes themselves.
+        network: its lanes, as they were read.
         scenario: its regimes' path lengths and speeds and the lane-change budget shape the pools.
         seed: of the pools.
-        options: of reading the network.
     """
     regimes = [(regime.path_bounds, regime.base_speed) for regime in scenario.regimes]
     digest = hashlib.sha256()
-    for part in (FORMAT, LAYOUT, regimes, scenario.max_lane_changes, seed, options):
+    for part in (FORMAT, LAYOUT, regimes, scenario.max_lane_changes, seed):
         digest.update(repr(part).encode() + b"\n")
-    for part in [source] if isinstance(source, bytes) else _content(source):
+    for part in _content(network):
         digest.update(part)
     return digest.hexdigest()
 
@@ -80,6 +82,7 @@ def save_bundle(path: str | Path, bundle: MapBundle) -> None:
         "name": np.array(bundle.name),
         "key": np.array(bundle.key),
         "pools": np.array(len(bundle.pools)),
+        "geo": np.array([] if bundle.geo is None else dataclasses.astuple(bundle.geo), str),
     }
     arrays |= {f"road.{key}": value for key, value in bundle.road_map.arrays().items()}
     arrays |= {f"graph.{key}": value for key, value in bundle.graph.arrays().items()}
@@ -99,13 +102,21 @@ def save_bundle(path: str | Path, bundle: MapBundle) -> None:
 
 def load_if_current(path: str | Path, key: str) -> MapBundle | None:
     """The bundle at ``path`` if it was made from what ``key`` stands for; None if it must be made again."""
+    if load_key(path) != key:
+        return None
+    try:
+        return load_bundle(path)
+    except PhaseError:
+        return None
+
+
+def load_key(path: str | Path) -> str:
+    """The key of the bundle at ``path``, "" if there is none to be read."""
     try:
         with np.load(path, allow_pickle=False) as data:
-            if str(data["key"]) != key:
-                return None
-        return load_bundle(path)
-    except (PhaseError, OSError, ValueError, KeyError, EOFError, zlib.error, zipfile.BadZipFile):
-        return None
+            return str(data["key"])
+    except (OSError, ValueError, KeyError, EOFError, zlib.error, zipfile.BadZipFile):
+        return ""
 
 
 def load_bundle(path: str | Path) -> MapBundle:
@@ -136,6 +147,7 @@ def load_bundle(path: str | Path) -> MapBundle:
             graph=LaneGraph(**_group(arrays, "graph")),
             pools=tuple(StartGoalPool(**_group(arrays, f"pool{i}")) for i in range(int(arrays["pools"]))),
             key=str(arrays["key"]),
+            geo=GeoReference(*arrays["geo"].tolist()) if len(arrays["geo"]) else None,
         )
     except (KeyError, TypeError) as error:
         raise PhaseError(f"{path}: the map bundle lacks {error}; {remedy}") from error

@@ -9,8 +9,10 @@ import sys
 import pytest
 
 from phase_sumo.cli import main
+from phase_sumo.cli.files import load_maps
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.bundle import save_bundle
+from tests.small_nets import SmallNet, lanes_from
 
 
 @pytest.mark.parametrize(
@@ -34,6 +36,28 @@ def test_bad_input_is_one_clear_line_and_status_2(arguments, words, tmp_path, ca
     message = [line for line in capsys.readouterr().err.splitlines() if line.startswith("phase-sumo:")]
     assert status == 2
     assert len(message) == 1 and all(word in message[0] for word in words), message
+
+
+def test_convert_with_all_its_options(tmp_path):
+    path = SmallNet().edge("main", lanes_from(0, 1400, 0.0, 3.6)).write(tmp_path / "road.net.xml")
+    options = ["--keep", "all", "--stretch", "350", "--json", str(tmp_path / "summary.json")]
+    assert main(["convert", str(path), "--out", str(tmp_path / "maps"), *options]) == 0
+    (row,) = json.loads((tmp_path / "summary.json").read_text())
+    assert row["stretches"] == 4 and row["names"][0] == "road_00"
+    assert sorted(p.name for p in (tmp_path / "maps").iterdir()) == [
+        f"road_{k:02d}.{ending}" for k in range(4) for ending in ("npz", "png")
+    ]
+
+
+def test_a_long_network_is_trained_on_in_stretches_and_not_converted_twice(tmp_path):
+    path = SmallNet().edge("main", lanes_from(0, 1400, 0.0, 3.6)).write(tmp_path / "road.net.xml")
+    maps = load_maps([str(path)], tmp_path / "kept")
+    files = sorted((tmp_path / "kept").iterdir())
+    assert [m.name for m in maps] == [f.stem for f in files] == ["road_00", "road_01", "road_02"]
+    times = [f.stat().st_mtime_ns for f in files]
+    again = load_maps([str(path)], tmp_path / "kept")
+    assert [m.key for m in again] == [m.key for m in maps]
+    assert [f.stat().st_mtime_ns for f in files] == times
 
 
 def test_debug_shows_the_traceback():

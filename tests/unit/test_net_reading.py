@@ -161,7 +161,7 @@ def test_a_lane_that_goes_on_to_a_road_left_out_is_an_exit(read):
     network = read(net)
     assert set(by_id(network)) == {"a_0", "a_1", "b_0"}
     assert not by_id(network)["a_0"].dead_end
-    assert network.warnings == ("1 of 4 lanes are not freeway, left out",)
+    assert network.warnings == ("1 of 4 lanes are not freeway, left out (residential 1)",)
     assert "street_0" in by_id(read(net, keep="all"))
 
 
@@ -226,10 +226,19 @@ def test_lanes_without_extent_are_left_out(read):
     assert network.warnings == ("1 lanes without extent left out",)
 
 
-def net_with(shape: str = "0,0 100,0", **values: str) -> str:
+def net_with(
+    shape: str = "0,0 100,0", connection: str | None = None, twice: str | None = None, **values: str
+) -> str:
+    """One edge with one lane; ``connection`` is "from fromLane to toLane [via]"."""
     fields = {"id": "a_0", "index": "0", "speed": "30", "length": "100"} | values
     given = "".join(f' {name}="{value}"' for name, value in fields.items())
-    return f'<net><edge id="a" from="x" to="y"><lane{given} shape="{shape}"/></edge></net>'
+    edge = f'<edge id="a" from="x" to="y"><lane{given} shape="{shape}"/></edge>'
+    text = edge + (edge if twice else "")
+    if connection:
+        names = ("from", "fromLane", "to", "toLane", "via")
+        ends = "".join(f' {name}="{v}"' for name, v in zip(names, connection.split(), strict=False))
+        text += f"<connection{ends}/>"
+    return f"<net>{text}</net>"
 
 
 @pytest.mark.parametrize(
@@ -240,7 +249,17 @@ def net_with(shape: str = "0,0 100,0", **values: str) -> str:
         (net_with(shape=""), "shape"),
         (net_with(speed="fast"), "speed='fast'"),
         (net_with(length="inf"), "length='inf'"),
-        (net_with(index="one"), "index='one'"),
+        (net_with(length="1e6"), "length='1e6'"),
+        (net_with(width="0"), "width=0"),
+        (net_with(width="21"), "width=21"),
+        (net_with(width="-3"), "width='-3'"),
+        (net_with(shape="0,0 1e9,0"), "1e9"),
+        (net_with(id=""), "has no id"),
+        (net_with(connection="a 0 b 0"), "lane 0 of edge 'b'"),
+        (net_with(connection="a 7 a 0"), "lane 7 of edge 'a'"),
+        (net_with(connection="a 0 a 0 :x_0"), "the internal lane ':x_0'"),
+        (net_with(connection="a one a 0"), "fromLane='one'"),
+        (net_with(twice="1"), "'a_0' is there twice"),
         ("<additional/>", "<additional>"),
         ("<net", "not well-formed"),
         ("", "not well-formed"),
@@ -257,3 +276,97 @@ def test_a_bad_file_is_named_with_what_is_wrong(tmp_path, text, message):
     assert str(caught.value).startswith(f"{path}: ")
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_missing_attributes_are_named(tmp_path):
+    path = tmp_path / "bad.net.xml"
+    for name in ("id", "speed", "length", "shape"):
+        path.write_text(net_with().replace(f' {name}="', f' no{name}="', 2 if name == "id" else 1))
+        with pytest.raises(PhaseError, match=name):
+            read_network(path)
+
+
+# --- versions and rarities -----------------------------------------------------------------------------
+
+
+def test_narrow_lanes_are_left_out_and_end_the_lane_before(read):
+    """OpenDRIVE imports hold slivers of 0.4 m where a lane tapers off."""
+    net = (
+        SmallNet()
+        .edge("a", lanes_from(0, 200, 0, W))
+        .edge("b", lanes_from(200, 400, 0, W), {0: {"width": 0.4}})
+    )
+    network = read(net.connect("a", "b", (0, 0), (1, 1)))
+    lanes = by_id(network)
+    assert set(lanes) == {"a_0", "a_1", "b_1"}
+    assert lanes["a_0"].dead_end and not lanes["a_1"].dead_end
+    assert network.warnings == ("1 lanes narrower than 2 m left out",)
+
+
+def test_empty_permission_lists_mean_none_given(read):
+    extra = {0: {"allow": ""}, 1: {"disallow": ""}, 2: {"changeLeft": "", "changeRight": ""}}
+    lanes = read(SmallNet().edge("a", lanes_from(0, 100, 0, W, 2 * W, 3 * W), extra)).lanes
+    assert all(lane.allows_car and lane.allows_truck for lane in lanes)
+    assert lanes[2].left == 3 and lanes[2].right == 1
+
+
+def test_lanes_are_counted_as_sumo_does_it(read):
+    """SUMO ignores the attribute; one of its own networks holds the same index twice."""
+    extra = {1: {"index": 0}}
+    lanes = by_id(read(SmallNet().edge("a", lanes_from(0, 100, 0, W), extra)))
+    assert lanes["a_0"].left == 1 and lanes["a_1"].right == 0
+
+
+def test_pedestrian_edges_and_their_connections_do_not_count(read):
+    net = two_roads().edge(":c0", [[(0, -5), (0, 5)]], function="crossing")
+    net.connect("a", ":c0", (0, 0)).connect(":c0", "a", (0, 0))
+    assert links(read(net)) == {("a_0", "b_0"), ("a_1", "b_1")}
+
+
+def test_edges_in_both_directions_on_one_line(read):
+    """A bidi edge: the lane of one direction lies on that of the other."""
+    net = SmallNet().edge("a", lanes_from(0, 300, 0), bidi="-a").edge("-a", [[(300, 0), (0, 0)]], bidi="a")
+    network = read(net)
+    assert len(network.lanes) == 2 and network.successors == ()
+
+
+def test_a_network_without_classes_or_limits_keeps_the_roads_that_nothing_turns_off(read):
+    """OpenDRIVE imports have SUMO's default of 13.89 m/s where the file gives no limit."""
+    net = (
+        SmallNet()
+        .edge("a", lanes_from(0, 200, 0), speed=13.89)
+        .edge("b", lanes_from(200, 400, 0), speed=13.89)
+    )
+    net.edge("c", [[(400, 0), (400, 100)]], speed=13.89).connect("a", "b", (0, 0))
+    turn = '<connection from="b" to="c" fromLane="0" toLane="0" dir="l"/>'
+    net.rows.append(turn)
+    network = read(net)
+    assert set(by_id(network)) == {"a_0"}
+    assert "neither road classes nor speed limits" in network.warnings[0]
+
+
+def test_a_connection_across_lanes_is_left_out(read):
+    """Both lanes go on by themselves, and there is no room for a curve from one to the other."""
+    net = two_roads().connect("a", "b", (0, 1))
+    network = read(net)
+    assert links(network) == {("a_0", "b_0"), ("a_1", "b_1")}
+    assert "1 connections across lanes left out" in network.warnings
+
+
+def test_a_lane_that_begins_behind_the_one_before_it_starts_at_its_end(read):
+    network = read(two_roads(gap=-6.0))
+    lanes = by_id(network)
+    assert links(network) == {("a_0", "b_0"), ("a_1", "b_1")}
+    np.testing.assert_allclose(lanes["b_0"].points[0], [200, 0], atol=0.1)
+    assert lanes["b_0"].positions is not None
+    assert lanes["b_0"].positions[[0, -1]] == pytest.approx([6.0, 200.0], abs=0.1)
+
+
+def test_a_jump_is_shared_and_stays_within_its_blend(read):
+    network = read(two_roads(1.8, gap=0.5))
+    for lane in network.lanes:
+        if not lane.connector:
+            y = lane.points[:, 1] - (0.0 if lane.edge == "a" else 1.8) - (W if lane.id.endswith("1") else 0.0)
+            far = np.abs(lane.points[:, 0] - 200.0) > 32.0
+            assert np.abs(y).max() == pytest.approx(0.9, abs=0.05)
+            assert np.abs(y[far]).max() < 0.01

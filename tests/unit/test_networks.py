@@ -6,6 +6,7 @@ import csv
 import re
 import subprocess
 from collections import Counter
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -20,7 +21,6 @@ from shapely.geometry import LineString, MultiLineString
 from networks.features import features
 from networks.generate import SPECS, generate
 from networks.traffic import run_sumo
-from networks.tuples import count_pairs, tuples
 from phase_sumo.bridge.convert import build_bundle
 from phase_sumo.bridge.net_xml import parse_net
 from phase_sumo.bridge.network import read_network
@@ -28,6 +28,8 @@ from phase_sumo.bridge.road_lines import road_edges
 from phase_sumo.config import REGIMES
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.lanes import LaneNetwork
+from phase_sumo.sim.pool import StartGoalPool
+from phase_sumo.sim.tuples import map_regime_tuples
 from scenarios.generate import generate as generate_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -146,22 +148,27 @@ def test_dimensions_vary_and_no_network_repeats_another():
     assert len(shapes) == 28
 
 
-def test_the_tuples_are_the_papers_77_and_those_of_the_shipped_networks():
+def test_the_tuples_are_the_papers_77_and_those_that_training_takes():
     with (ROOT / "networks" / "tuples.csv").open(encoding="utf-8", newline="") as file:
-        head, *rows = csv.reader(file)
-    assert head == ["map", "regime"]
+        header, *rows = list(csv.reader(file))
+    assert header == ["map", "regime"]
     found = Counter(regime for _, regime in rows)
     assert found == {regime.name: regime.tuples for regime in REGIMES}
-    assert found == {"jammed": 22, "dense": 22, "moderate": 22, "free": 11}
-    assert len({tuple(row) for row in rows}) == 77
-    assert [tuple(row) for row in rows] == tuples({name_of(p): count_pairs(bundle_of(p)) for p in NETWORKS})
+    bundles = [bundle_of(path) for path in NETWORKS]
+    assert [tuple(row) for row in rows] == [
+        (bundles[m].name, REGIMES[r].name) for m, r in map_regime_tuples(bundles)
+    ]
 
 
 def test_ties_of_the_tuples_go_by_name_and_maps_without_room_are_left_out():
-    few = tuple(r for r in REGIMES if r.name == "free")
-    pairs = {f"m{i:02d}": {"free": 5} for i in reversed(range(15))} | {"best": {"free": 6}}
-    assert [name for name, _ in tuples(pairs, few)] == ["best", *(f"m{i:02d}" for i in range(10))]
-    assert tuples({"a": {"free": 0}, "b": {"free": 1}}, few) == [("b", "free")]
+    some = bundle_of(NETWORKS[0])
+    none = replace(
+        some, name="a", pools=tuple(StartGoalPool(*(a[:0] for a in p.arrays().values())) for p in some.pools)
+    )
+    maps = [replace(some, name="c"), none, replace(some, name="b"), replace(some, name="d")]
+    free = [m for m, r in map_regime_tuples(maps) if REGIMES[r].name == "free"]
+    assert free == [0, 2]
+    assert [m for m, r in map_regime_tuples(maps) if REGIMES[r].name == "jammed"] == [0, 2, 3]
 
 
 @pytest.mark.slow
