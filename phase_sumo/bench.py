@@ -55,9 +55,10 @@ def bench_sim(
     generator = torch.Generator().manual_seed(seed)
     spent, agent_steps = 0.0, 0
     for t in range(WARM_UP + steps):
-        action = torch.zeros(env.active.shape, dtype=torch.long)
-        action[env.active] = policy.act(env.observation, generator)
-        acting = int(env.active.sum())
+        active = env.worlds.active
+        action = torch.zeros(active.shape, dtype=torch.long)
+        action[active] = policy.act(env.observation.rows(active), generator)
+        acting = int(active.sum())
         began = time.process_time()
         env.step(action)
         if t >= WARM_UP:

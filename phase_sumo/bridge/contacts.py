@@ -89,10 +89,10 @@ def _overlaps(table: VehicleTable, time: float, types: dict[str, str]):
     rows = np.flatnonzero(table.active)
     if len(rows) < 2:
         return []
-    every = boxes(table.shape(), table.state())[:, 0]  # [6, N, 2]
-    box = every[:, torch.from_numpy(rows)].flatten(1)
+    every = boxes(table.shape(), table.state())[:, :, 0]  # [6, 2, N]
+    box = every[:, :, torch.from_numpy(rows)].flatten(1)
     real = np.flatnonzero(box[4].numpy() > 0)
-    owner, box = rows[real // 2], box[:, torch.from_numpy(real)]
+    owner, box = rows[real % len(rows)], box[:, torch.from_numpy(real)]
     radius = torch.hypot(box[4], box[5]).numpy()
     centre = box[:2].T.numpy()
     first, second = pairs_within(centre, centre, 2.0 * float(radius.max()))
@@ -106,7 +106,7 @@ def _overlaps(table: VehicleTable, time: float, types: dict[str, str]):
         i, j = int(owner[first[k]]), int(owner[second[k]])
         if (i, j) not in found:
             middle = 0.5 * (a[:2, k] + b[:2, k])
-            found[i, j] = _contact(table, i, j, middle, every[:, :, 0], time, types)
+            found[i, j] = _contact(table, i, j, middle, every[:, 0], time, types)
     return [(i, j, contact) for (i, j), contact in found.items()]
 
 

@@ -15,7 +15,7 @@ from phase_sumo.bridge.route import RouteLanes
 from phase_sumo.bridge.table import VehicleTable
 from phase_sumo.config import ActionConfig, SimConfig
 from phase_sumo.sim import kinematics
-from phase_sumo.sim.observation import Observation, observe
+from phase_sumo.sim.observation import Observation, appearance, observe
 
 SAME_WAY = 0.5  # cosine of the heading difference up to which another vehicle is seen
 
@@ -85,25 +85,30 @@ class Controller:
     def _step(self, rows: np.ndarray) -> None:
         begin = clock.process_time()
         table, driver = self._table, self._driver
-        shape, state, task = table.shape(), table.state(), table.task()
-        observers = torch.from_numpy(table.controlled).unsqueeze(0)
-        neighbours = self._neighbours(rows)
-        seen = observe(shape, state, task, observers, neighbours, self._road.map, self._map_index, driver.sim)
-        action = torch.zeros(observers.shape, dtype=torch.long)
-        action[observers] = driver.act(seen)
-        jerk, steering_rate = kinematics.command(action, task.alpha, driver.actions)
+        driven = torch.from_numpy(rows)
+        every = appearance(table.shape(), table.state())
+
+        def own(values: Tensor) -> Tensor:
+            return values[0, driven]
+
+        shape, state, task = table.shape().map(own), table.state().map(own), table.task().map(own)
+        index, mask = self._neighbours(rows)
+        others = every.map(lambda values: values[0, index])
+        cell = self._road.map.cell(self._map_index, state.x.unsqueeze(0), state.y.unsqueeze(0)).squeeze(0)
+        seen = observe(shape, state, task, others, mask, self._road.map, cell, driver.sim)
+        jerk, steering_rate = kinematics.command(driver.act(seen), task.alpha, driver.actions)
         table.take(kinematics.advance(shape, state, jerk, steering_rate, driver.sim), rows)
         self.cpu += clock.process_time() - begin
         self.decisions += len(rows)
 
     def _neighbours(self, rows: np.ndarray) -> tuple[Tensor, Tensor]:
-        """As `observation.nearest`, for some rows, without traffic that runs in another direction.
+        """As `neighbours.nearest`, for some rows, without traffic that runs in another direction.
 
         Training maps are single carriageways; the opposite one and roads on other levels would only take
         the places of the vehicles that matter.
 
         Returns:
-            index and mask, both [1, N, K], filled for ``rows``.
+            index of the neighbours' rows and mask, both [len(rows), K].
         """
         table, sim = self._table, self._driver.sim
         active = np.flatnonzero(table.active)
@@ -120,8 +125,8 @@ class Controller:
             np.take_along_axis(order, nearest_first, 1),
             np.take_along_axis(value, nearest_first, 1),
         )
-        index = np.zeros((1, len(table), sim.neighbours), np.int64)
+        index = np.zeros((len(rows), sim.neighbours), np.int64)
         mask = np.zeros(index.shape, bool)
-        index[0, rows, :count] = active[order]
-        mask[0, rows, :count] = value < sim.neighbour_range**2
+        index[:, :count] = active[order]
+        mask[:, :count] = value < sim.neighbour_range**2
         return torch.from_numpy(index), torch.from_numpy(mask)

@@ -300,9 +300,8 @@ class Fleet:
         rows = np.flatnonzero(self._table.controlled)
         if not len(rows):
             return
-        box = boxes(self._table.shape(), self._table.state())[:, :, torch.from_numpy(rows)]
-        present = box[4] > 0
-        touching, _ = road_contacts(box, present, self._road.map, torch.zeros(1, dtype=torch.long))
+        box = boxes(self._table.shape(), self._table.state())[..., torch.from_numpy(rows)]
+        touching, _ = road_contacts(box, self._road.map, torch.zeros(1, dtype=torch.long))
         for row in rows[touching[0].numpy()].tolist():
             member = self._members[self._table.ids[row]]
             if time - member.edge_contact > EDGE_CONTACT_APART:

@@ -118,9 +118,9 @@ class VehicleTable:
         return {name: torch.from_numpy(self.arrays[name]).unsqueeze(0) for name in names}
 
     def take(self, state: VehicleState, rows: np.ndarray) -> None:
-        """Copy the given rows of a [1, N] state into the table."""
+        """Write the states [len(rows)] of the given rows into the table."""
         for name in STATE:
-            self.arrays[name][rows] = getattr(state, name)[0].numpy()[rows]
+            self.arrays[name][rows] = getattr(state, name).numpy()
 
     @property
     def front(self) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,8 @@ from torch import Tensor
 from phase_sumo.config import RewardConfig, ScenarioConfig
 from phase_sumo.policy.checkpoint import Policy
 from phase_sumo.sim.bundle import MapBundle
-from phase_sumo.sim.environment import Environment, Transition
+from phase_sumo.sim.environment import Environment
+from phase_sumo.sim.worlds import Transition
 
 RATES = ("goal_rate", "agent_collision_rate", "at_fault_rate", "road_collision_rate", "success_rate")
 
@@ -51,11 +52,12 @@ def evaluate_synthetic(
         )
         generator = None if greedy else torch.Generator().manual_seed(seed + episode)
         for t in range(policy.sim.horizon):
-            first = env.clock == t  # worlds still in the scenario they began with
+            first = env.worlds.clock == t  # worlds still in the scenario they began with
             if not first.any():
                 break
-            shape, action = env.shape, torch.zeros(env.active.shape, dtype=torch.long)
-            action[env.active] = policy.act(env.observation, generator)
+            shape, active = env.worlds.shape, env.worlds.active
+            action = torch.zeros(active.shape, dtype=torch.long)
+            action[active] = policy.act(env.observation.rows(active), generator)
             step = env.step(action)
             for name, group in _groups(env, shape.truck, shape.articulated).items():
                 counted = step.finished & first.unsqueeze(-1) & group

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from phase_sumo.config import SimConfig
 from phase_sumo.sim.geometry import box_touches_segment, boxes_overlap, segment_distance
-from phase_sumo.sim.observation import gather
 from phase_sumo.sim.road_map import RoadKind, RoadMap
-from phase_sumo.sim.vehicles import Task, TensorBatch, VehicleShape, VehicleState
+from phase_sumo.sim.vehicles import Task, TensorBatch, VehicleShape, VehicleState, boxes
+
+ROAD_EDGE = int(RoadKind.ROAD_EDGE)
 
 
 @dataclass
@@ -40,9 +41,7 @@ def detect(
     before: VehicleState,
     after: VehicleState,
     task: Task,
-    box: Tensor,
     active: Tensor,
-    neighbours: tuple[Tensor, Tensor],
     road_map: RoadMap,
     map_index: Tensor,
     config: SimConfig,
@@ -50,25 +49,20 @@ def detect(
     """All events of the step from ``before`` to ``after``.
 
     Args:
-        box: [6, W, N, 2] boxes after the step.
         active: [W, N] bool.
-        neighbours: index and mask of `observation.nearest` after the step.
         map_index: [W].
     """
+    box = boxes(shape, after)
     goal = goal_reached(before, after, task, config.goal_radius) & active
-    world, agent, _, fault = agent_contacts(box, shape.reach, after.xy, neighbours)
-    collision, guilty = torch.zeros_like(active), torch.zeros_like(active)
-    collision[world, agent] = True
-    guilty[world[fault], agent[fault]] = True
-    present = torch.stack((active, active & shape.articulated), -1)
-    edge, boundary = road_contacts(box, present, road_map, map_index)
+    touching, fault = agent_contacts(box, active)
+    edge, boundary = road_contacts(box, road_map, map_index)
     return Events(
         goal=goal,
         unrecoverable=goal_behind(after, task) & active & ~goal,
-        collision=collision,
-        at_fault=guilty,
-        road_edge=edge,
-        lane_boundary=boundary,
+        collision=touching.any(1),
+        at_fault=(touching & fault).any(1),
+        road_edge=edge & active,
+        lane_boundary=boundary & active,
     )
 
 
@@ -77,7 +71,7 @@ def goal_reached(before: VehicleState, after: VehicleState, task: Task, radius: 
 
     The sweep matters: at 30 m/s a step is 3 m long and would jump over the region.
     """
-    return segment_distance(before.xy, after.xy, task.goal_xy) <= radius
+    return segment_distance((before.x, before.y), (after.x, after.y), (task.goal_x, task.goal_y)) <= radius
 
 
 def goal_behind(state: VehicleState, task: Task) -> Tensor:
@@ -86,30 +80,28 @@ def goal_behind(state: VehicleState, task: Task) -> Tensor:
     return dx * torch.cos(state.yaw) + dy * torch.sin(state.yaw) < 0.0
 
 
-def agent_contacts(
-    box: Tensor, reach: Tensor, xy: Tensor, neighbours: tuple[Tensor, Tensor]
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Overlaps with the neighbours, all box pairs, and the paper's fault rule for each.
+def agent_contacts(box: Tensor, active: Tensor) -> tuple[Tensor, Tensor]:
+    """Overlaps of all box pairs of all pairs of agents, and the paper's fault rule for each.
 
     Args:
-        box: [6, W, N, 2].
-        reach: [W, N] m, no part of a vehicle is farther from its reference point.
-        xy: [W, N, 2] reference points in m.
-        neighbours: index and mask [W, N, K].
+        box: [6, 2, W, N].
+        active: [W, N] bool.
 
     Returns:
-        world, agent and other agent of every overlap, and whether it is the agent's fault, all [M]; an
-        overlap appears once for each of its two agents.
+        touching [W, N, N] bool, symmetric, and whether it is the fault of the agent of the last axis.
     """
-    index, mask = neighbours
-    distance = torch.hypot(*(gather(c, index) - c.unsqueeze(-1) for c in xy.unbind(-1)))
-    near = mask & (distance < gather(reach, index) + reach.unsqueeze(-1))
-    world, agent, neighbour = near.nonzero(as_tuple=True)
-    other = index[world, agent, neighbour]
-    mine, theirs = box[:, world, agent], box[:, world, other]
-    touching = boxes_overlap(mine.unsqueeze(-1), theirs.unsqueeze(-2)).flatten(-2).any(-1)
-    fault = at_fault(mine[..., 0], theirs[..., 0])
-    return world[touching], agent[touching], other[touching], fault[touching]
+    slot = torch.arange(active.shape[1], device=active.device)
+    pair = active.unsqueeze(2) & active.unsqueeze(1) & (slot != slot.unsqueeze(-1))
+    return any_overlap(box, box) & pair, at_fault(box[:, 0].unsqueeze(2), box[:, 0].unsqueeze(3))
+
+
+def any_overlap(a: Tensor, b: Tensor) -> Tensor:
+    """[W, M, N] bool: a box of vehicle m of ``b`` [6, 2, W, M] overlaps one of n of ``a`` [6, 2, W, N]."""
+    a, b = a.unsqueeze(3), b.unsqueeze(4)
+    touching = boxes_overlap(a[:, 0], b[:, 0])
+    for mine, other in ((0, 1), (1, 0), (1, 1)):
+        touching = touching | boxes_overlap(a[:, mine], b[:, other])
+    return touching
 
 
 def at_fault(mine: Tensor, other: Tensor) -> Tensor:
@@ -126,30 +118,25 @@ def at_fault(mine: Tensor, other: Tensor) -> Tensor:
     return i_behind | ~j_behind
 
 
-def road_contacts(
-    box: Tensor, present: Tensor, road_map: RoadMap, map_index: Tensor
-) -> tuple[Tensor, Tensor]:
+def road_contacts(box: Tensor, road_map: RoadMap, map_index: Tensor) -> tuple[Tensor, Tensor]:
     """Contact of both boxes with the road's borders.
 
     Args:
-        box: [6, W, N, 2].
-        present: [W, N, 2] bool, boxes to look at.
+        box: [6, 2, W, N].
         map_index: [W].
 
     Returns:
         road_edge (or beside the road) and lane_boundary, both [W, N] bool.
     """
-    world, agent, part = present.nonzero(as_tuple=True)
-    here = box[:, world, agent, part]
-    cell = road_map.cell(map_index[world], here[:2].t())
+    edge, boundary = _border_contacts(box[:, 0], road_map, cell := road_map.cell(map_index, *box[:2, 0]))
+    # a trailer without extent lies on its tractor's reference point and adds no contact of its own
+    behind = _border_contacts(box[:, 1], road_map, road_map.cell(map_index, *box[:2, 1]))
+    return edge | behind[0] | road_map.cell_off_road[cell], boundary | behind[1]
+
+
+def _border_contacts(box: Tensor, road_map: RoadMap, cell: Tensor) -> tuple[Tensor, Tensor]:
+    """Contact of boxes [6, W, N] in their cells [W, N] with road edges and with lane boundaries."""
     index = road_map.cell_segments[cell]
-    touch = box_touches_segment(here.unsqueeze(-1), [c[index] for c in road_map.segment.unbind(-1)])
-    is_edge = road_map.segment_kind[index] == RoadKind.ROAD_EDGE
-    off_road = road_map.cell_off_road[cell] & (part == 0)
-    edge = present.new_zeros(present.shape[:2])
-    boundary = torch.zeros_like(edge)
-    hit = ((touch & is_edge).any(-1) | off_road).nonzero().squeeze(-1)
-    edge[world[hit], agent[hit]] = True
-    hit = (touch & ~is_edge).any(-1).nonzero().squeeze(-1)
-    boundary[world[hit], agent[hit]] = True
-    return edge, boundary
+    touch = box_touches_segment(box.unsqueeze(-1), [c[index] for c in road_map.segment.unbind(-1)])
+    is_edge = road_map.segment_kind[index] == ROAD_EDGE
+    return (touch & is_edge).any(-1), (touch & ~is_edge).any(-1)

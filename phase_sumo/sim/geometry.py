@@ -8,25 +8,25 @@ overlapping.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import torch
 from torch import Tensor
 
 
-def boxes_overlap(a: Tensor, b: Tensor) -> Tensor:
+def boxes_overlap(a: Iterable[Tensor], b: Iterable[Tensor]) -> Tensor:
     """Separating-axis test of two sets of boxes.
 
     Two boxes are disjoint iff one of their four face normals separates them.
 
     Args:
-        a, b: [6, ...] boxes, broadcast against each other.
+        a, b: the six numbers of the boxes, each [...], broadcast against each other.
 
     Returns:
         [...] bool.
     """
-    ax, ay, acos, asin, alen, awid = a.unbind(0)
-    bx, by, bcos, bsin, blen, bwid = b.unbind(0)
+    ax, ay, acos, asin, alen, awid = a
+    bx, by, bcos, bsin, blen, bwid = b
     dx, dy = bx - ax, by - ay
     cos = (acos * bcos + asin * bsin).abs()
     sin = (acos * bsin - asin * bcos).abs()
@@ -63,12 +63,14 @@ def box_touches_segment(box: Tensor, segment: Sequence[Tensor]) -> Tensor:
     )
 
 
-def segment_distance(start: Tensor, end: Tensor, point: Tensor) -> Tensor:
-    """Distance in m from ``point`` to the segment ``start``-``end``; all [..., 2]."""
-    along = end - start
-    squared = (along * along).sum(-1).clamp_min(1e-12)
-    share = (((point - start) * along).sum(-1) / squared).clamp(0.0, 1.0)
-    return torch.linalg.vector_norm(start + share.unsqueeze(-1) * along - point, dim=-1)
+def segment_distance(
+    start: tuple[Tensor, Tensor], end: tuple[Tensor, Tensor], point: tuple[Tensor, Tensor]
+) -> Tensor:
+    """Distance in m from ``point`` to the segment ``start``-``end``, each x and y [...]."""
+    (ax, ay), (bx, by), (px, py) = start, end, point
+    ux, uy, dx, dy = bx - ax, by - ay, px - ax, py - ay
+    share = ((dx * ux + dy * uy) / (ux * ux + uy * uy).clamp_min(1e-12)).clamp(0.0, 1.0)
+    return torch.hypot(dx - share * ux, dy - share * uy)
 
 
 def wrap_angle(angle: Tensor) -> Tensor:

@@ -78,20 +78,21 @@ ROAD = (
     Feature("yaw_sin", "1", 0.3),
     *(Feature(kind.name.lower(), "1", 1.0) for kind in RoadKind),
 )
+KINDS = tuple(int(kind) for kind in RoadKind)
 LAYOUT = {"ego": EGO, "context": CONTEXT, "partner": PARTNER, "road": ROAD}
 
 
 @dataclass
 class Observation(TensorBatch):
-    """Scaled features of A observing agents.
+    """Scaled features of agents with leading axes [...]: [W, N] worlds and slots, or [A] agents.
 
     Attributes:
-        ego: [A, len(EGO)].
-        context: [A, len(CONTEXT)] conditioning vector C_i.
-        partner: [A, K, len(PARTNER)], zero where masked.
-        partner_mask: [A, K] bool, True for a real neighbour.
-        road: [A, R, len(ROAD)], zero where masked.
-        road_mask: [A, R] bool.
+        ego: [..., len(EGO)].
+        context: [..., len(CONTEXT)] conditioning vector C_i.
+        partner: [..., K, len(PARTNER)], zero where masked.
+        partner_mask: [..., K] bool, True for a real neighbour.
+        road: [..., R, len(ROAD)], zero where masked.
+        road_mask: [..., R] bool.
     """
 
     ego: Tensor
@@ -104,82 +105,78 @@ class Observation(TensorBatch):
     def __len__(self) -> int:
         return self.ego.shape[0]
 
-
-def nearest(xy: Tensor, active: Tensor, config: SimConfig) -> tuple[Tensor, Tensor]:
-    """The nearest active others of each agent, nearest first.
-
-    Args:
-        xy: [W, N, 2] m.
-        active: [W, N] bool.
-
-    Returns:
-        index [W, N, K] int64 and mask [W, N, K] bool (False beyond the range or where there is none).
-    """
-    worlds, slots = active.shape
-    offset = xy.unsqueeze(2) - xy.unsqueeze(1)
-    squared = offset.square().sum(-1)
-    squared = squared.masked_fill(~active.unsqueeze(1), torch.inf)
-    squared.diagonal(dim1=1, dim2=2).fill_(torch.inf)
-    count = min(config.neighbours, slots)
-    value, index = squared.topk(count, dim=-1, largest=False)
-    mask = value < config.neighbour_range**2
-    missing = config.neighbours - count
-    if missing:
-        index = torch.cat((index, index.new_zeros(worlds, slots, missing)), -1)
-        mask = torch.cat((mask, mask.new_zeros(worlds, slots, missing)), -1)
-    return index, mask & active.unsqueeze(-1)
+    def rows(self, mask: Tensor) -> Observation:
+        """The agents where mask [W, N] holds, as [A] rows in row-major order."""
+        return self.map(lambda values: values[mask])
 
 
-def gather(values: Tensor, index: Tensor) -> Tensor:
-    """values[w, index[w, n, k]] for values [W, N] and index [W, N, K]."""
-    worlds, slots, count = index.shape
-    return values.gather(1, index.reshape(worlds, slots * count)).view(worlds, slots, count)
+@dataclass
+class Appearance(TensorBatch):
+    """What others see of a vehicle: centre x, y of its tractor box in m, yaw, speed, dimensions, hitch."""
+
+    x: Tensor
+    y: Tensor
+    yaw: Tensor
+    speed: Tensor
+    length: Tensor
+    width: Tensor
+    trailer_length: Tensor
+    trailer_width: Tensor
+    hitch: Tensor
+
+
+def appearance(shape: VehicleShape, state: VehicleState) -> Appearance:
+    """How vehicles look to others, with the same axes."""
+    forward = shape.front_overhang - 0.5 * shape.length  # rear axle to the centre of the box
+    return Appearance(
+        x=state.x + forward * torch.cos(state.yaw),
+        y=state.y + forward * torch.sin(state.yaw),
+        yaw=state.yaw,
+        speed=state.speed,
+        length=shape.length,
+        width=shape.width,
+        trailer_length=shape.trailer_length,
+        trailer_width=shape.trailer_width,
+        hitch=state.hitch,
+    )
 
 
 def observe(
     shape: VehicleShape,
     state: VehicleState,
     task: Task,
-    observers: Tensor,
-    neighbours: tuple[Tensor, Tensor],
+    others: Appearance,
+    mask: Tensor,
     road_map: RoadMap,
-    map_index: Tensor,
+    cell: Tensor,
     config: SimConfig,
-    generator: torch.Generator | None = None,
+    noise: tuple[Tensor, Tensor] | None = None,
 ) -> Observation:
-    """Ego-centric observation of the observing agents (paper: Observation Space).
+    """Ego-centric observation (paper: Observation Space) of agents with any leading axes [...].
 
     Args:
-        observers: [W, N] bool, A of them; the rows of the result are in their row-major order.
-        neighbours: index and mask [W, N, K] of `nearest` on the same positions.
-        map_index: [W] map of each world.
-        generator: draws the Gaussian noise on partner and road features; None for none.
+        shape, state, task: [...] of the observing agents.
+        others: [..., K] how the neighbours look.
+        mask: [..., K] bool, those that are real.
+        cell: [...] of the road map that each agent is in.
+        noise: standard normal numbers for partners [..., K, 4] and road points [..., R, 2], scaled here to
+            the Gaussian noise on both; None for none.
     """
-    world, slot = observers.nonzero(as_tuple=True)
-    index, mask = neighbours[0][world, slot], neighbours[1][world, slot]
-
-    def own(values: Tensor) -> Tensor:
-        return values[world, slot]
-
-    def others(values: Tensor) -> Tensor:
-        return values[world.unsqueeze(-1), index]
-
-    own_shape, own_state, own_task = shape.map(own), state.map(own), task.map(own)
-    cell = road_map.cell(map_index[world], own_state.xy)
-    partner = _partner(own_state, shape.map(others), state.map(others), config, generator)
-    road, road_mask = _road(own_state, road_map, cell, config, generator)
+    road, road_mask = _road(state, road_map, cell, config, None if noise is None else noise[1])
     return Observation(
-        ego=_ego(own_shape, own_state, own_task, road_map.cell_yaw[cell]),
-        context=_context(own_shape, own_task),
-        partner=partner * mask.unsqueeze(-1),
+        ego=_ego(shape, state, task, road_map.cell_yaw[cell]),
+        context=_context(shape, task),
+        partner=_partner(state, others, mask, config, None if noise is None else noise[0]),
         partner_mask=mask,
-        road=road * road_mask.unsqueeze(-1),
+        road=road,
         road_mask=road_mask,
     )
 
 
-def _stack(features: tuple[Feature, ...], values: list[Tensor]) -> Tensor:
-    return torch.stack([v / f.scale for v, f in zip(values, features, strict=True)], -1)
+def _stack(features: tuple[Feature, ...], values: list[Tensor], mask: Tensor | None = None) -> Tensor:
+    """Scaled features as the last axis, zero where not ``mask``."""
+    scaled = [v * (1.0 / f.scale) for v, f in zip(values, features, strict=True)]
+    return torch.stack(scaled if mask is None else [torch.where(mask, v, 0.0) for v in scaled], -1)
 
 
 def _near(y: Tensor) -> Tensor:
@@ -230,29 +227,19 @@ def _context(shape: VehicleShape, task: Task) -> Tensor:
     return _stack(CONTEXT, values)
 
 
-def _noise(like: Tensor, sigma: float, generator: torch.Generator | None) -> Tensor | float:
-    if generator is None:
-        return 0.0
-    return sigma * torch.randn(like.shape, generator=generator, device=like.device)
+def _noisy(value: Tensor, sigma: float, noise: Tensor | None, column: int) -> Tensor:
+    return value if noise is None else value + sigma * noise[..., column]
 
 
 def _partner(
-    own: VehicleState,
-    shape: VehicleShape,
-    state: VehicleState,
-    config: SimConfig,
-    generator: torch.Generator | None,
+    own: VehicleState, other: Appearance, mask: Tensor, config: SimConfig, noise: Tensor | None
 ) -> Tensor:
-    """Features [A, K, len(PARTNER)] of the neighbours ``shape``, ``state`` [A, K] seen by ``own`` [A]."""
-    forward = shape.front_overhang - 0.5 * shape.length  # rear axle to the centre of the box
+    """Features [..., K, len(PARTNER)] of the neighbours ``other`` [..., K] seen by ``own`` [...]."""
     cos, sin = torch.cos(own.yaw).unsqueeze(-1), torch.sin(own.yaw).unsqueeze(-1)
-    dx = state.x + forward * torch.cos(state.yaw) - own.x.unsqueeze(-1)
-    dx = dx + _noise(dx, config.position_noise, generator)
-    dy = state.y + forward * torch.sin(state.yaw) - own.y.unsqueeze(-1)
-    dy = dy + _noise(dy, config.position_noise, generator)
-    yaw = state.yaw - own.yaw.unsqueeze(-1)
-    yaw = yaw + _noise(yaw, config.yaw_noise, generator)
-    speed = state.speed + _noise(state.speed, config.speed_noise, generator)
+    dx = _noisy(other.x - own.x.unsqueeze(-1), config.position_noise, noise, 0)
+    dy = _noisy(other.y - own.y.unsqueeze(-1), config.position_noise, noise, 1)
+    yaw = _noisy(other.yaw - own.yaw.unsqueeze(-1), config.yaw_noise, noise, 2)
+    speed = _noisy(other.speed, config.speed_noise, noise, 3)
     y = dy * cos - dx * sin
     values = [
         dx * cos + dy * sin,
@@ -262,13 +249,13 @@ def _partner(
         own.speed.unsqueeze(-1) - speed * torch.cos(yaw),
         torch.cos(yaw),
         torch.sin(yaw),
-        shape.length,
-        shape.width,
-        shape.trailer_length,
-        shape.trailer_width,
-        state.hitch,
+        other.length,
+        other.width,
+        other.trailer_length,
+        other.trailer_width,
+        other.hitch,
     ]
-    return _stack(PARTNER, values)
+    return _stack(PARTNER, values, mask)
 
 
 def _road(
@@ -276,16 +263,14 @@ def _road(
     road_map: RoadMap,
     cell: Tensor,
     config: SimConfig,
-    generator: torch.Generator | None,
+    noise: Tensor | None,
 ) -> tuple[Tensor, Tensor]:
     index = road_map.cell_points[cell]
     kind = road_map.point_kind[index]
     point, tangent = road_map.point_xy[index], road_map.point_dir[index]
     cos, sin = torch.cos(state.yaw).unsqueeze(-1), torch.sin(state.yaw).unsqueeze(-1)
-    dx = point[..., 0] - state.x.unsqueeze(-1)
-    dx = dx + _noise(dx, config.position_noise, generator)
-    dy = point[..., 1] - state.y.unsqueeze(-1)
-    dy = dy + _noise(dy, config.position_noise, generator)
+    dx = _noisy(point[..., 0] - state.x.unsqueeze(-1), config.position_noise, noise, 0)
+    dy = _noisy(point[..., 1] - state.y.unsqueeze(-1), config.position_noise, noise, 1)
     y = dy * cos - dx * sin
     values = [
         dx * cos + dy * sin,
@@ -293,6 +278,6 @@ def _road(
         _near(y),
         tangent[..., 0] * cos + tangent[..., 1] * sin,
         tangent[..., 1] * cos - tangent[..., 0] * sin,
-        *((kind == k).float() for k in RoadKind),
+        *((kind == k).float() for k in KINDS),
     ]
-    return _stack(ROAD, values), kind >= 0
+    return _stack(ROAD, values, kind >= 0), kind >= 0

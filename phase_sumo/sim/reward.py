@@ -17,12 +17,12 @@ from phase_sumo.sim.vehicles import Task, VehicleState
 class Multipliers:
     """Curriculum multipliers at a progress rho in [0, 1]."""
 
-    rho: float
-    penalty: float  # m_f = m_e = m_t = 1 + (lambda - 1) rho
-    progress: float  # m_p = 1 - rho
+    rho: float | Tensor
+    penalty: float | Tensor  # m_f = m_e = m_t = 1 + (lambda - 1) rho
+    progress: float | Tensor  # m_p = 1 - rho
 
     @staticmethod
-    def at(rho: float, config: RewardConfig) -> Multipliers:
+    def at(rho: float | Tensor, config: RewardConfig) -> Multipliers:
         return Multipliers(rho, 1.0 + (config.penalty_growth - 1.0) * rho, 1.0 - rho)
 
     def goal(self, quality: Tensor) -> Tensor:

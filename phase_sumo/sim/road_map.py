@@ -78,24 +78,23 @@ class RoadMap:
         """Number of maps M."""
         return self.grid_offset.shape[0]
 
-    def cell(self, map_index: Tensor, xy: Tensor) -> Tensor:
+    def cell(self, map_index: Tensor, x: Tensor, y: Tensor) -> Tensor:
         """Cell of each position; the padding cell off the map.
 
         Args:
             map_index: [W] map of each world.
-            xy: [W, ..., 2] positions in m.
+            x, y: [W, ...] positions in m.
         """
-        extra = (1,) * (xy.dim() - 2)
-        origin = self.grid_origin[map_index].view(-1, *extra, 2)
-        shape = self.grid_shape[map_index].view(-1, *extra, 2)
-        square = torch.floor((xy - origin) / CELL_SIZE).long()
-        block = square >> BLOCK_BITS
-        inside = ((block >= 0) & (block < shape)).all(-1)
-        flat = block[..., 0] * shape[..., 1] + block[..., 1]
-        flat = flat + self.grid_offset[map_index].view(-1, *extra)
-        local = square & (BLOCK - 1)
-        first = self.grid_block[torch.where(inside, flat, -1)]
-        return self.grid[first + local[..., 0] * BLOCK + local[..., 1]]
+        axes = (-1, *(1,) * (x.dim() - 1))
+        origin, shape = self.grid_origin[map_index], self.grid_shape[map_index]
+        column = torch.floor((x - origin[:, 0].view(axes)) * (1.0 / CELL_SIZE)).long()
+        row = torch.floor((y - origin[:, 1].view(axes)) * (1.0 / CELL_SIZE)).long()
+        ix, iy = column >> BLOCK_BITS, row >> BLOCK_BITS
+        columns, rows = shape[:, 0].view(axes), shape[:, 1].view(axes)
+        inside = (ix >= 0) & (ix < columns) & (iy >= 0) & (iy < rows)
+        block = ix * rows + iy + self.grid_offset[map_index].view(axes)
+        first = self.grid_block[torch.where(inside, block, -1)]
+        return self.grid[first + (column & (BLOCK - 1)) * BLOCK + (row & (BLOCK - 1))]
 
     def to(self, device: torch.device | str) -> RoadMap:
         return RoadMap(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})

@@ -237,20 +237,28 @@ def _conflicts(
     """
     box = boxes(shape, trial)
     alpha, braking_jerk = range_and_jerk
-    faster = (trial.speed.unsqueeze(2) - trial.speed.unsqueeze(1)).clamp_min(0.0)
-    closing = faster * torch.sqrt(2.0 * faster / (braking_jerk * alpha).unsqueeze(2)) * (2.0 / 3.0)
-    ahead = config.spawn_gap + config.spawn_time_headway * trial.speed.unsqueeze(2) + closing
-    claim = box[:, :, :, None].expand(-1, -1, -1, ahead.shape[2], -1).clone()
-    claim[0, ..., 0] += 0.5 * ahead * claim[2, ..., 0]
-    claim[1, ..., 0] += 0.5 * ahead * claim[3, ..., 0]
-    claim[4, ..., 0] += 0.5 * ahead
-    touch = boxes_overlap(claim.unsqueeze(-1), box[:, :, None, :, None, :]).flatten(-2).any(-1)
+    slower = trial.speed.unsqueeze(-1)
+    faster = (trial.speed.unsqueeze(1) - slower).clamp_min(0.0)
+    closing = faster * torch.sqrt(2.0 * faster / (braking_jerk * alpha).unsqueeze(1)) * (2.0 / 3.0)
+    ahead = config.spawn_gap + config.spawn_time_headway * trial.speed.unsqueeze(1) + closing
+    touch = _claims(box, 0.5 * ahead)
     touch = touch | touch.transpose(1, 2)
     slots = active.shape[1]
     earlier = torch.ones(slots, slots, dtype=torch.bool, device=active.device).tril(-1)
     against = active.unsqueeze(1) | (earlier & wanted.unsqueeze(1))
     against = against & ~torch.eye(slots, dtype=torch.bool, device=active.device)
     return (touch & against).any(-1)
+
+
+def _claims(box: Tensor, ahead: Tensor) -> Tensor:
+    """[B, M, N] bool: vehicle n's boxes, ``ahead`` [B, M, N] m longer to the front, reach vehicle m's."""
+    touch = torch.zeros_like(ahead, dtype=torch.bool)
+    for part in (0, 1):
+        x, y, cos, sin, half_length, half_width = (v.unsqueeze(1) for v in box[:, part])
+        mine = (x + ahead * cos, y + ahead * sin, cos, sin, half_length + ahead, half_width)
+        for other in (0, 1):
+            touch |= boxes_overlap(mine, [v.unsqueeze(2) for v in box[:, other]])
+    return touch
 
 
 def sample_shape(

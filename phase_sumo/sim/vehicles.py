@@ -132,15 +132,12 @@ def boxes(shape: VehicleShape, state: VehicleState) -> Tensor:
     """Oriented boxes of tractor and trailer.
 
     Returns:
-        [6, W, N, 2]: centre x, y, cos yaw, sin yaw, half length, half width; the last axis is tractor,
+        [6, 2, W, N]: centre x, y, cos yaw, sin yaw, half length, half width; the second axis is tractor,
         trailer. Vehicles without a trailer have half extents 0 there, at their reference point.
     """
-    trailer_yaw = state.yaw - state.hitch
-    yaw = torch.stack((state.yaw, trailer_yaw), -1)
-    length = torch.stack((shape.length, shape.trailer_length), -1)
-    width = torch.stack((shape.width, shape.trailer_width), -1)
-    front = torch.stack((shape.front_overhang, shape.trailer_setback), -1)
-    ahead = front - 0.5 * length
+    yaw = torch.stack((state.yaw, state.yaw - state.hitch))
+    length = torch.stack((shape.length, shape.trailer_length))
+    width = torch.stack((shape.width, shape.trailer_width))
+    ahead = torch.stack((shape.front_overhang, shape.trailer_setback)) - 0.5 * length
     cos, sin = torch.cos(yaw), torch.sin(yaw)
-    x, y = state.x.unsqueeze(-1) + ahead * cos, state.y.unsqueeze(-1) + ahead * sin
-    return torch.stack((x, y, cos, sin, 0.5 * length, 0.5 * width))
+    return torch.stack((state.x + ahead * cos, state.y + ahead * sin, cos, sin, 0.5 * length, 0.5 * width))

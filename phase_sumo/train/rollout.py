@@ -104,30 +104,31 @@ def collect(
     counts = Counts()
     terms: dict[str, Tensor] = {}
     for _ in range(steps):
-        active = env.active
-        seen = env.observation
+        active = env.worlds.active
+        seen = env.observation.rows(active)
         logits, value = evaluate(network, seen, bf16)
         log_prob = logits.log_softmax(-1)
         token = torch.multinomial(log_prob.exp(), 1, generator=generator).squeeze(-1)
         action = torch.zeros(active.shape, dtype=torch.long, device=active.device)
         action[active] = token
         step = env.step(action)
-        reward = step.reward
-        if len(step.final):
-            reward[step.truncated] += gamma * (evaluate(network, step.final, bf16)[1] * std + mean)
+        value = scatter(value * std + mean, active)
+        # a time-out is no failure: what the agent expected then stands for what would have come
+        reward = step.reward + gamma * value * step.truncated
         observations.append(seen)
         actions.append(token)
         log_probs.append(log_prob.gather(-1, token.unsqueeze(-1)).squeeze(-1))
         columns["active"].append(active)
         columns["finished"].append(step.finished)
         columns["reward"].append(reward)
-        columns["value"].append(scatter(value * std + mean, active))
+        columns["value"].append(value)
         _count(counts, step, terms)
     counts.terms = {name: float(total) / steps for name, total in terms.items()}
-    last = evaluate(network, env.observation, bf16)[1] * std + mean
+    active = env.worlds.active
+    last = evaluate(network, env.observation.rows(active), bf16)[1] * std + mean
     stacked = {name: torch.stack(parts) for name, parts in columns.items()}
     return Rollout(
-        observations, actions, log_probs, **stacked, last_value=scatter(last, env.active), counts=counts
+        observations, actions, log_probs, **stacked, last_value=scatter(last, active), counts=counts
     )
 
 

@@ -8,8 +8,11 @@ import pytest
 import torch
 
 from phase_sumo.config import SimConfig
-from phase_sumo.sim.observation import EGO, PARTNER, ROAD, nearest, observe
+from phase_sumo.sim.neighbours import nearest
+from phase_sumo.sim.observation import EGO, PARTNER, ROAD
 from phase_sumo.sim.road_map import RoadMap
+from phase_sumo.sim.worlds import Outcome, Worlds
+from phase_sumo.sim.worlds import look as look_at
 from tests.factories import car_shape, task_to, truck_shape, vehicle_state
 
 SIM = SimConfig()
@@ -34,10 +37,11 @@ def scene(count: int = 12, seed: int = 0):
     return shape, state, task
 
 
-def look(straight_map, shape, state, task, active=None, road: RoadMap | None = None, **options):
+def look(straight_map, shape, state, task, active=None, road: RoadMap | None = None, noise=None):
     active = torch.ones_like(state.x, dtype=torch.bool) if active is None else active
-    neighbours = nearest(state.xy, active, SIM)
-    return observe(shape, state, task, active, neighbours, road or straight_map.road_map, MAP, SIM, **options)
+    outcome = Outcome(*(torch.zeros_like(active) for _ in range(4)))
+    worlds = Worlds(shape, state, task, outcome, active, torch.zeros(1, dtype=torch.long))
+    return look_at(worlds, road or straight_map.road_map, MAP, noise, SIM).rows(active)
 
 
 def moved(road: RoadMap, dx: float, dy: float) -> RoadMap:
@@ -120,18 +124,17 @@ def test_empty_slots_are_not_seen(straight_map):
 def test_the_sixteen_nearest_are_seen_nearest_first(straight_map):
     count = 30
     shape, state = car_shape(count), vehicle_state(x=[100.0 + 5 * k for k in range(count)], count=count)
-    index, mask = nearest(state.xy, torch.ones(1, count, dtype=torch.bool), SIM)
+    index, mask = nearest(state.x, state.y, torch.ones(1, count, dtype=torch.bool), SIM)
     assert index[0, 0].tolist() == list(range(1, 17)) and mask[0, 0].all()
     assert shape.length.shape == (1, count)
 
 
-def test_noise_is_drawn_from_the_generator_and_spares_the_ego(straight_map):
+def test_noise_perturbs_partners_and_road_and_spares_the_ego(straight_map):
     shape, state, task = scene()
     clean = look(straight_map, shape, state, task)
-    first, again = (
-        look(straight_map, shape, state, task, generator=torch.Generator().manual_seed(1)) for _ in range(2)
-    )
-    torch.testing.assert_close(first.partner, again.partner)
+    generator = torch.Generator().manual_seed(1)
+    noise = (torch.randn(1, 12, 16, 4, generator=generator), torch.randn(1, 12, 32, 2, generator=generator))
+    first = look(straight_map, shape, state, task, noise=noise)
     torch.testing.assert_close(first.ego, clean.ego)
     spread = (first.road[..., 0] - clean.road[..., 0])[clean.road_mask] * 50.0
     assert 0.5 * SIM.position_noise < spread.std().item() < 1.5 * SIM.position_noise

@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from phase_sumo.config import SimConfig
-from phase_sumo.sim.events import agent_contacts, at_fault, detect, goal_reached
-from phase_sumo.sim.observation import nearest
+from phase_sumo.sim.events import agent_contacts, detect, goal_reached
 from phase_sumo.sim.vehicles import boxes
 from tests.factories import car_shape, task_to, truck_shape, vehicle_state
 
@@ -16,10 +15,8 @@ SIM = SimConfig()
 
 def events_of(straight_map, shape, before, after, task):
     active = torch.ones_like(after.x, dtype=torch.bool)
-    neighbours = nearest(after.xy, active, SIM)
-    box = boxes(shape, after)
     world = torch.zeros(1, dtype=torch.long)
-    return detect(shape, before, after, task, box, active, neighbours, straight_map.road_map, world, SIM)
+    return detect(shape, before, after, task, active, straight_map.road_map, world, SIM)
 
 
 def test_a_goal_is_not_jumped_over_at_30_metres_per_second(straight_map):
@@ -76,19 +73,10 @@ def test_every_collision_has_a_culprit(seed: int):
     )
     box = boxes(shape, state)
     active = torch.ones(1, 30, dtype=torch.bool)
-    _, agent, other, fault = agent_contacts(box, shape.reach, state.xy, nearest(state.xy, active, SIM))
-    assert len(agent) > 0
-    blamed = {
-        frozenset((i, j)) for i, j, f in zip(agent.tolist(), other.tolist(), fault.tolist(), strict=True) if f
-    }
-    missing = [
-        (i, j) for i, j in zip(agent.tolist(), other.tolist(), strict=True) if frozenset((i, j)) not in blamed
-    ]
-    # a pair may be listed from one side only when that side has more than 16 neighbours; the rule itself
-    # must still name somebody
-    for i, j in missing:
-        a, b = box[:, 0, i, 0], box[:, 0, j, 0]
-        assert at_fault(a, b) or at_fault(b, a)
+    touching, fault = agent_contacts(box, active)
+    assert touching.any() and torch.equal(touching, touching.transpose(1, 2))
+    assert not touching.diagonal(dim1=1, dim2=2).any()
+    assert (fault | fault.transpose(1, 2))[touching].all()
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,8 @@ def test_box_segment_contact_agrees_with_shapely(box, segment):
     st.tuples(coordinate, coordinate), st.tuples(coordinate, coordinate), st.tuples(coordinate, coordinate)
 )
 def test_segment_distance_agrees_with_shapely(start, end, point):
-    ours = segment_distance(*(torch.tensor(p, dtype=torch.float64) for p in (start, end, point))).item()
+    (ax, ay), (bx, by), (px, py) = torch.tensor([start, end, point], dtype=torch.float64)
+    ours = segment_distance((ax, ay), (bx, by), (px, py)).item()
     assert math.isclose(ours, LineString([start, end]).distance(Point(point)), abs_tol=1e-5)
 
 
