@@ -21,7 +21,7 @@ from phase_sumo.sim.lanes import LaneNetwork
 Progress = Callable[[float, str], None]
 Result = TypeVar("Result")
 WARM_UP = 10  # steps
-FREEWAYS = (6, 21, 81)  # km of lane: whole sections of a two-way freeway of six lanes
+FREEWAYS = (6, 24, 99, 399)  # km of lane: whole sections of a two-way freeway of six lanes
 
 
 def machine() -> dict[str, Any]:
@@ -101,7 +101,7 @@ def bench_convert(networks: list[Path], progress: Progress) -> dict[str, Any]:
 
     Returns:
         CPU seconds per part over all ``networks``, km of lane per CPU second overall and for lane graph and
-        pools alone, and for synthetic freeways of growing length CPU seconds per km of lane.
+        pools alone, and the same for synthetic freeways of growing length.
     """
     from phase_sumo.bridge.network import read_network
     from phase_sumo.sim.synthetic_road import freeway
@@ -121,8 +121,11 @@ def bench_convert(networks: list[Path], progress: Progress) -> dict[str, Any]:
         "lane_km_per_cpu_second": lane_km / sum(total.values()),
         "graph_and_pool_lane_km_per_cpu_second": lane_km / (total["graph"] + total["pools"]),
         "cpu_seconds_of_part": total,
-        "cpu_seconds_per_lane_km_of_length": {
-            f"{cost['lane_km']:.0f} km": (sum(cost.values()) - cost["lane_km"]) / cost["lane_km"]
+        "by_length": {
+            f"{cost['lane_km']:.0f} km": {
+                "cpu_seconds_per_lane_km": (sum(cost.values()) - cost["lane_km"]) / cost["lane_km"],
+                "graph_and_pool_lane_km_per_cpu_second": cost["lane_km"] / (cost["graph"] + cost["pools"]),
+            }
             for cost in costs[len(networks) :]
         },
     }

@@ -92,6 +92,8 @@ class LaneGraph:
 
         What is left of a lane on either side of a gap are two lanes, so ``node_lane`` counts anew.
         """
+        if keep.all():
+            return self
         kept = np.flatnonzero(keep)
         number = np.full(len(keep) + 1, -1, np.int32)  # the last entry serves the index -1
         number[kept] = np.arange(len(kept))
