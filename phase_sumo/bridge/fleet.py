@@ -301,7 +301,7 @@ class Fleet:
         if not len(rows):
             return
         box = boxes(self._table.shape(), self._table.state())[..., torch.from_numpy(rows)]
-        touching, _ = road_contacts(box, self._road.map, torch.zeros(1, dtype=torch.long))
+        touching, _ = road_contacts(box, self._road.map, torch.zeros(1, dtype=torch.long), len(rows))
         for row in rows[touching[0].numpy()].tolist():
             member = self._members[self._table.ids[row]]
             if time - member.edge_contact > EDGE_CONTACT_APART:

@@ -104,10 +104,10 @@ def _sizes(views: list[View]) -> tuple[tuple[float, float], list[float]]:
 
 def _draw_road(axes: Axes, bundle: MapBundle) -> None:
     road = bundle.road_map
-    centre = road.point_xy[road.point_kind == RoadKind.LANE_CENTRE].numpy()
+    centre = bundle.graph.node_xy[::4]
     axes.plot(centre[:, 0], centre[:, 1], ".", color="#8c8c8c", markersize=2.0)
-    kinds = road.segment_kind.numpy()[:-1]
-    segments = road.segment.numpy()[:-1].reshape(-1, 2, 2)
+    border, kinds = (values.numpy() for values in road.segments())
+    segments = border.reshape(-1, 2, 2)
     for kind, colour in COLOURS.items():
         axes.add_collection(LineCollection(list(segments[kinds == kind]), colors=colour, linewidths=1.2))
 

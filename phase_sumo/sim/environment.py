@@ -11,6 +11,7 @@ from torch import Tensor
 from phase_sumo.config import ActionConfig, RewardConfig, ScenarioConfig, SimConfig
 from phase_sumo.sim import scenario
 from phase_sumo.sim.bundle import MapBundle
+from phase_sumo.sim.dimensions import truck_slots
 from phase_sumo.sim.noise import NoiseTable
 from phase_sumo.sim.observation import Observation
 from phase_sumo.sim.road_map import POINTS_PER_CELL, merge
@@ -18,7 +19,7 @@ from phase_sumo.sim.scenario import Scenario
 from phase_sumo.sim.tuples import map_regime_tuples
 from phase_sumo.sim.worlds import Outcome, Transition, Worlds, advance, look
 
-RESAMPLE_EVERY = 16  # steps between refills of the scenarios that finished worlds take over
+RESAMPLE_EVERY = 32  # steps between refills of the scenarios that finished worlds take over
 
 
 class Environment:
@@ -58,6 +59,7 @@ class Environment:
     ) -> None:
         self.sim, self.scenarios, self.reward_config, self.actions = sim, scenarios, reward, actions
         self.slots, self.rho = slots, 0.0
+        self.trailers = truck_slots(slots, scenarios)
         self.generator = torch.Generator(device=device).manual_seed(seed)
         self.road_map = merge([m.road_map for m in maps]).to(device)
         tuples = map_regime_tuples(maps, scenarios.regimes)
@@ -108,6 +110,7 @@ class Environment:
             self.sim,
             self.reward_config,
             self.actions,
+            self.trailers,
         )
         self._used |= transition.over
         self._steps += 1

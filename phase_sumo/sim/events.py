@@ -45,22 +45,24 @@ def detect(
     road_map: RoadMap,
     map_index: Tensor,
     config: SimConfig,
+    trailers: int,
 ) -> Events:
     """All events of the step from ``before`` to ``after``.
 
     Args:
         active: [W, N] bool.
         map_index: [W].
+        trailers: only this many slots, the first ones, may have a trailer.
     """
     box = boxes(shape, after)
     goal = goal_reached(before, after, task, config.goal_radius) & active
-    touching, fault = agent_contacts(box, active)
-    edge, boundary = road_contacts(box, road_map, map_index)
+    collision, guilty = agent_contacts(box, active, trailers)
+    edge, boundary = road_contacts(box, road_map, map_index, trailers)
     return Events(
         goal=goal,
         unrecoverable=goal_behind(after, task) & active & ~goal,
-        collision=touching.any(1),
-        at_fault=(touching & fault).any(1),
+        collision=collision,
+        at_fault=guilty,
         road_edge=edge & active,
         lane_boundary=boundary & active,
     )
@@ -80,28 +82,35 @@ def goal_behind(state: VehicleState, task: Task) -> Tensor:
     return dx * torch.cos(state.yaw) + dy * torch.sin(state.yaw) < 0.0
 
 
-def agent_contacts(box: Tensor, active: Tensor) -> tuple[Tensor, Tensor]:
+def agent_contacts(box: Tensor, active: Tensor, trailers: int) -> tuple[Tensor, Tensor]:
     """Overlaps of all box pairs of all pairs of agents, and the paper's fault rule for each.
 
     Args:
         box: [6, 2, W, N].
         active: [W, N] bool.
+        trailers: only this many slots, the first ones, may have a trailer.
 
     Returns:
-        touching [W, N, N] bool, symmetric, and whether it is the fault of the agent of the last axis.
+        collision and at_fault, both [W, N] bool.
     """
+    tractor, trailer = box[:, 0], box[:, 1, :, :trailers]
     slot = torch.arange(active.shape[1], device=active.device)
     pair = active.unsqueeze(2) & active.unsqueeze(1) & (slot != slot.unsqueeze(-1))
-    return any_overlap(box, box) & pair, at_fault(box[:, 0].unsqueeze(2), box[:, 0].unsqueeze(3))
+    # of the pairs with a trailer, tractor against trailer is looked at once and holds for both
+    between = _overlap(trailer, tractor)  # [W, N, T]: trailer of the last axis, tractor of the other
+    behind = torch.nn.functional.pad(between, (0, active.shape[1] - trailers))
+    both = torch.nn.functional.pad(
+        _overlap(trailer, trailer), (0, active.shape[1] - trailers, 0, active.shape[1] - trailers)
+    )
+    touching = (_overlap(tractor, tractor) | behind | behind.transpose(1, 2) | both) & pair
+    fault = at_fault(tractor.unsqueeze(2), tractor.unsqueeze(3))
+    worst = torch.where(touching, torch.where(fault, 2.0, 1.0), 0.0).amax(1)
+    return worst > 0.0, worst > 1.0
 
 
-def any_overlap(a: Tensor, b: Tensor) -> Tensor:
-    """[W, M, N] bool: a box of vehicle m of ``b`` [6, 2, W, M] overlaps one of n of ``a`` [6, 2, W, N]."""
-    a, b = a.unsqueeze(3), b.unsqueeze(4)
-    touching = boxes_overlap(a[:, 0], b[:, 0])
-    for mine, other in ((0, 1), (1, 0), (1, 1)):
-        touching = touching | boxes_overlap(a[:, mine], b[:, other])
-    return touching
+def _overlap(a: Tensor, b: Tensor) -> Tensor:
+    """[W, M, N] bool: box m of ``b`` [6, W, M] overlaps box n of ``a`` [6, W, N]."""
+    return boxes_overlap(a.unsqueeze(2), b.unsqueeze(3))
 
 
 def at_fault(mine: Tensor, other: Tensor) -> Tensor:
@@ -118,25 +127,30 @@ def at_fault(mine: Tensor, other: Tensor) -> Tensor:
     return i_behind | ~j_behind
 
 
-def road_contacts(box: Tensor, road_map: RoadMap, map_index: Tensor) -> tuple[Tensor, Tensor]:
+def road_contacts(box: Tensor, road_map: RoadMap, map_index: Tensor, trailers: int) -> tuple[Tensor, Tensor]:
     """Contact of both boxes with the road's borders.
 
     Args:
         box: [6, 2, W, N].
         map_index: [W].
+        trailers: only this many slots, the first ones, may have a trailer.
 
     Returns:
         road_edge (or beside the road) and lane_boundary, both [W, N] bool.
     """
-    edge, boundary = _border_contacts(box[:, 0], road_map, cell := road_map.cell(map_index, *box[:2, 0]))
+    tractor, trailer = box[:, 0], box[:, 1, :, :trailers]
+    cell = road_map.cell(map_index, tractor[0], tractor[1])
+    edge, boundary = _border_contacts(tractor, road_map, cell)
     # a trailer without extent lies on its tractor's reference point and adds no contact of its own
-    behind = _border_contacts(box[:, 1], road_map, road_map.cell(map_index, *box[:2, 1]))
-    return edge | behind[0] | road_map.cell_off_road[cell], boundary | behind[1]
+    behind = _border_contacts(trailer, road_map, road_map.cell(map_index, trailer[0], trailer[1]))
+    others = (0, box.shape[3] - trailers)
+    edge = edge | torch.nn.functional.pad(behind[0], others) | road_map.cell_off_road[cell]
+    return edge, boundary | torch.nn.functional.pad(behind[1], others)
 
 
 def _border_contacts(box: Tensor, road_map: RoadMap, cell: Tensor) -> tuple[Tensor, Tensor]:
     """Contact of boxes [6, W, N] in their cells [W, N] with road edges and with lane boundaries."""
-    index = road_map.cell_segments[cell]
-    touch = box_touches_segment(box.unsqueeze(-1), [c[index] for c in road_map.segment.unbind(-1)])
-    is_edge = road_map.segment_kind[index] == ROAD_EDGE
+    *segment, kind = road_map.borders_at(cell)
+    touch = box_touches_segment(box.unsqueeze(-1), segment)
+    is_edge = kind == ROAD_EDGE
     return (touch & is_edge).any(-1), (touch & ~is_edge).any(-1)

@@ -265,19 +265,17 @@ def _road(
     config: SimConfig,
     noise: Tensor | None,
 ) -> tuple[Tensor, Tensor]:
-    index = road_map.cell_points[cell]
-    kind = road_map.point_kind[index]
-    point, tangent = road_map.point_xy[index], road_map.point_dir[index]
+    point_x, point_y, tangent_x, tangent_y, kind = road_map.seen_from(cell)
     cos, sin = torch.cos(state.yaw).unsqueeze(-1), torch.sin(state.yaw).unsqueeze(-1)
-    dx = _noisy(point[..., 0] - state.x.unsqueeze(-1), config.position_noise, noise, 0)
-    dy = _noisy(point[..., 1] - state.y.unsqueeze(-1), config.position_noise, noise, 1)
+    dx = _noisy(point_x - state.x.unsqueeze(-1), config.position_noise, noise, 0)
+    dy = _noisy(point_y - state.y.unsqueeze(-1), config.position_noise, noise, 1)
     y = dy * cos - dx * sin
     values = [
         dx * cos + dy * sin,
         y,
         _near(y),
-        tangent[..., 0] * cos + tangent[..., 1] * sin,
-        tangent[..., 1] * cos - tangent[..., 0] * sin,
+        tangent_x * cos + tangent_y * sin,
+        tangent_y * cos - tangent_x * sin,
         *((kind == k).float() for k in KINDS),
     ]
     return _stack(ROAD, values, kind >= 0), kind >= 0

@@ -12,11 +12,10 @@ from phase_sumo.sim.lane_graph import LaneGraph
 from phase_sumo.sim.near import nearest
 from phase_sumo.sim.polylines import Polylines
 from phase_sumo.sim.road_cells import OFF_ROAD, cell_segments, cells
-from phase_sumo.sim.road_map import BLOCK, RoadKind, RoadMap
+from phase_sumo.sim.road_map import ABSENT, BLOCK, FAR, RoadKind, RoadMap
 from phase_sumo.sim.road_view import POINT_SPACING, view_points
 
 FloatArray = NDArray[np.float64]
-FAR = 1.0e6  # m: where padding points and segments lie
 
 
 @dataclass(frozen=True)
@@ -53,16 +52,16 @@ def build_road_map(lines: list[RoadLine], graph: LaneGraph) -> RoadMap:
     squares = np.full(BLOCK**2 + grid.slots, len(slot))
     squares[BLOCK**2 + slot] = np.arange(len(slot))
     off_road = np.hypot(*(grid.centre(grid.square(slot)) - graph.node_xy[node]).T) > OFF_ROAD
+    seen, row = view_points(graph, points.xy, points.kind, points.of_node, node)
+    near = cell_segments(grid, slot, segment, segment_kind)
+    in_reach = (near >= 0).sum(1)
+    touched = in_reach > 0
+    border_row = np.where(touched, np.cumsum(touched) - 1, touched.sum())
     return RoadMap(
-        point_xy=_floats(np.concatenate((points.xy, [[FAR, FAR]]))),
-        point_dir=_floats(np.concatenate((points.direction, [[1.0, 0.0]]))),
-        point_kind=torch.from_numpy(np.append(points.kind, -1)),
-        segment=_floats(np.concatenate((segment, [[FAR, FAR, FAR + 1.0, FAR]]))),
-        segment_kind=torch.from_numpy(np.append(segment_kind, RoadKind.ROAD_EDGE).astype(np.int64)),
-        cell_points=_padded(
-            view_points(graph, points.xy, points.kind, points.of_node, node), len(points.kind)
-        ),
-        cell_segments=_padded(cell_segments(grid, slot, segment, segment_kind), len(segment)),
+        view=_rows(seen, np.column_stack((points.xy, points.direction)), points.kind),
+        border=_rows(near[touched, : in_reach.max(initial=1)], segment, segment_kind),
+        cell_view=torch.from_numpy(np.append(row, len(seen))),
+        cell_border=torch.from_numpy(np.append(border_row, touched.sum())),
         cell_yaw=_floats(np.append(graph.node_yaw[node], 0.0)),
         cell_off_road=torch.from_numpy(np.append(off_road, True)),
         grid=torch.from_numpy(squares),
@@ -77,12 +76,12 @@ def _floats(array: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(array, np.float32))
 
 
-def _padded(table: NDArray[np.int32], padding: int) -> torch.Tensor:
-    """The index table with ``padding`` for -1 and a last row of it, as the indices torch gathers by."""
-    padded = torch.full((len(table) + 1, table.shape[1]), padding)
-    rows = torch.from_numpy(table)
-    padded[:-1] = torch.where(rows < 0, padding, rows)
-    return padded
+def _rows(index: NDArray[np.int32], values: FloatArray, kind: NDArray[np.int64]) -> torch.Tensor:
+    """[n + 1, 5, k] the values that index [n, k] points to, empty for -1 and in the last row."""
+    empty = np.array([[FAR, FAR, FAR, FAR, ABSENT]], np.float32)
+    table = np.concatenate((np.column_stack((values, kind)).astype(np.float32), empty))
+    rows = np.concatenate((index, np.full((1, index.shape[1]), -1, index.dtype)))
+    return torch.from_numpy(np.ascontiguousarray(table[rows].transpose(0, 2, 1)))
 
 
 def _points(lines: list[RoadLine], graph: LaneGraph) -> RoadPoints:

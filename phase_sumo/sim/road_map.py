@@ -1,7 +1,8 @@
-"""Road geometry as tensors, with a grid index that answers every query in constant time.
+"""Road geometry as tensors: a grid of cells, each with a row of what a vehicle there sees and may touch.
 
-One `RoadMap` holds one or many maps side by side: tables are concatenated and each map knows its own
-grid, so worlds on different maps are stepped in one batch without padding the maps to each other.
+A lookup takes constant time and reads one contiguous row. One `RoadMap` holds one or many maps side by side:
+tables are concatenated and each map knows its own grid, so worlds on different maps are stepped in one batch
+without padding the maps to each other.
 """
 
 from __future__ import annotations
@@ -23,34 +24,30 @@ class RoadKind(IntEnum):
     ROAD_EDGE = 3  # border of the drivable surface
 
 
+ABSENT = -1.0  # kind of a row's empty places
+FAR = 1.0e6  # m: where they lie
+
 CELL_SIZE = 4.0  # m
 BLOCK_BITS = 5
 BLOCK = 2**BLOCK_BITS  # grid squares along a block's side; only blocks with road in them are stored
 POINTS_PER_CELL = 32  # R, road points of an observation
-SEGMENTS_PER_CELL = 32  # border segments that a box centred in the cell can touch
+SEGMENTS_PER_CELL = 32  # border segments that a box centred in the cell can touch, at most
 CONTACT_REACH = 12.0  # m: half diagonal of the longest box + half diagonal of a cell
-
-
-# tables of a map that hold no index into another table
-OWN_VALUES = ("point_xy", "point_dir", "point_kind", "segment", "segment_kind", "cell_yaw", "cell_off_road")
 
 
 @dataclass(frozen=True)
 class RoadMap:
-    """Road points, border segments and their grid index for M maps.
+    """What M maps show at every place, by cells of 4 m; the last of the C cells stands for no road.
 
     Attributes:
-        point_xy: [P, 2] road points in m (lane centres, lane boundaries, road edges).
-        point_dir: [P, 2] unit tangent in driving direction.
-        point_kind: [P] `RoadKind`; -1 for the padding point, which is the last one.
-        segment: [S, 4] border segments ax, ay, bx, by in m; the padding segment is last and far away.
-        segment_kind: [S] `RoadKind` (never LANE_CENTRE).
-        cell_points: [C, R] indices into the points, seen from a cell; the padding cell is last.
-        cell_segments: [C, G] indices into the segments within `CONTACT_REACH` of the cell centre.
+        view: [V, 5, R] road points seen from a cell: x, y in m, cos and sin of the driving direction, kind.
+        border: [B, 5, G] border segments within `CONTACT_REACH` of a cell's centre, nearest first: their ends
+            ax, ay, bx, by in m, and kind.
+        cell_view, cell_border: [C] rows of ``view`` and ``border``; the last rows are empty.
         cell_yaw: [C] direction in rad of the lane centre nearest to the cell centre.
         cell_off_road: [C] bool, no lane reaches into the cell.
-        grid: [blocks * BLOCK^2] compact cell of every grid square of the stored blocks, C-1 where there is
-            no road. Squares are 4 m wide; within a block they are row-major. Each map's first block is empty.
+        grid: [blocks * BLOCK^2] cell of every grid square of the stored blocks, C-1 where there is no road.
+            Squares are 4 m wide; within a block they are row-major. Each map's first block is empty.
         grid_block: [sum of nx*ny + 1] first square in ``grid`` of every block; where there is no road, and
             in each map's last entry, which stands for positions off the map, that of an empty block.
         grid_offset: [M] first block of each map in ``grid_block``.
@@ -58,13 +55,10 @@ class RoadMap:
         grid_shape: [M, 2] nx, ny in blocks, row-major: index = ix * ny + iy.
     """
 
-    point_xy: Tensor
-    point_dir: Tensor
-    point_kind: Tensor
-    segment: Tensor
-    segment_kind: Tensor
-    cell_points: Tensor
-    cell_segments: Tensor
+    view: Tensor
+    border: Tensor
+    cell_view: Tensor
+    cell_border: Tensor
     cell_yaw: Tensor
     cell_off_road: Tensor
     grid: Tensor
@@ -96,6 +90,22 @@ class RoadMap:
         first = self.grid_block[torch.where(inside, block, -1)]
         return self.grid[first + (column & (BLOCK - 1)) * BLOCK + (row & (BLOCK - 1))]
 
+    def seen_from(self, cell: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """x, y, cos, sin and kind [..., R] of the road points seen from cells [...]."""
+        x, y, cos, sin, kind = self.view[self.cell_view[cell]].unbind(-2)
+        return x, y, cos, sin, kind
+
+    def borders_at(self, cell: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """ax, ay, bx, by and kind [..., G] of the border segments in reach of cells [...]."""
+        ax, ay, bx, by, kind = self.border[self.cell_border[cell]].unbind(-2)
+        return ax, ay, bx, by, kind
+
+    def segments(self) -> tuple[Tensor, Tensor]:
+        """All border segments [S, 4] in m, and their kinds [S]."""
+        rows = self.border.transpose(1, 2).reshape(-1, 5)
+        rows = rows[rows[:, 4] != ABSENT].unique(dim=0)
+        return rows[:, :4], rows[:, 4].long()
+
     def to(self, device: torch.device | str) -> RoadMap:
         return RoadMap(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
 
@@ -114,37 +124,45 @@ class RoadMap:
 def merge(maps: list[RoadMap]) -> RoadMap:
     """Concatenate maps; map index m of the result is ``maps[m]`` (each must hold a single map).
 
-    Each map's padding point, segment and cell are dropped in favour of one shared set at the end.
+    Each map's empty rows and cell are dropped in favour of one shared set at the end.
     """
-    points = sum(m.point_kind.shape[0] - 1 for m in maps)
-    segments = sum(m.segment_kind.shape[0] - 1 for m in maps)
-    cells = sum(m.cell_yaw.shape[0] - 1 for m in maps)
+    widest = max(m.border.shape[2] for m in maps)
+    rows = {name: sum(len(getattr(m, name)) - 1 for m in maps) for name in ("view", "border", "cell_yaw")}
     tables: dict[str, list[Tensor]] = {f.name: [] for f in fields(RoadMap)}
-    first_point = first_segment = first_cell = first_square = first_block = 0
+    first = dict.fromkeys((*rows, "grid", "grid_block"), 0)
     for m in maps:
-        own_points, own_segments = m.point_kind.shape[0] - 1, m.segment_kind.shape[0] - 1
-        own_cells = m.cell_yaw.shape[0] - 1
-        for name in OWN_VALUES:
-            tables[name].append(getattr(m, name)[:-1])
-        tables["cell_points"].append(_shift(m.cell_points[:-1], own_points, first_point, points))
-        tables["cell_segments"].append(_shift(m.cell_segments[:-1], own_segments, first_segment, segments))
-        tables["grid"].append(_shift(m.grid, own_cells, first_cell, cells))
-        tables["grid_block"].append(m.grid_block + first_square)
-        tables["grid_offset"].append(m.grid_offset + first_block)
+        own = {name: len(getattr(m, name)) - 1 for name in rows}
+        tables["view"].append(m.view[:-1])
+        tables["border"].append(_widened(m.border[:-1], widest))
+        tables["cell_view"].append(_shift(m.cell_view[:-1], own["view"], first["view"], rows["view"]))
+        tables["cell_border"].append(
+            _shift(m.cell_border[:-1], own["border"], first["border"], rows["border"])
+        )
+        tables["cell_yaw"].append(m.cell_yaw[:-1])
+        tables["cell_off_road"].append(m.cell_off_road[:-1])
+        tables["grid"].append(_shift(m.grid, own["cell_yaw"], first["cell_yaw"], rows["cell_yaw"]))
+        tables["grid_block"].append(m.grid_block + first["grid"])
+        tables["grid_offset"].append(m.grid_offset + first["grid_block"])
         tables["grid_origin"].append(m.grid_origin)
         tables["grid_shape"].append(m.grid_shape)
-        first_point, first_segment, first_cell = (
-            first_point + own_points,
-            first_segment + own_segments,
-            first_cell + own_cells,
-        )
-        first_square, first_block = first_square + m.grid.shape[0], first_block + m.grid_block.shape[0]
-    for name in OWN_VALUES:
-        tables[name].append(getattr(maps[0], name)[-1:])
-    tables["cell_points"].append(torch.full_like(maps[0].cell_points[-1:], points))
-    tables["cell_segments"].append(torch.full_like(maps[0].cell_segments[-1:], segments))
+        for name in first:
+            first[name] += own.get(name, len(getattr(m, name)))
+    last = maps[0]
+    tables["view"].append(last.view[-1:])
+    tables["border"].append(_widened(last.border[-1:], widest))
+    tables["cell_view"].append(torch.full_like(last.cell_view[-1:], rows["view"]))
+    tables["cell_border"].append(torch.full_like(last.cell_border[-1:], rows["border"]))
+    tables["cell_yaw"].append(last.cell_yaw[-1:])
+    tables["cell_off_road"].append(last.cell_off_road[-1:])
     return RoadMap(**{name: torch.cat(parts) for name, parts in tables.items()})
 
 
 def _shift(index: Tensor, padding: int, offset: int, new_padding: int) -> Tensor:
     return torch.where(index == padding, new_padding, index + offset)
+
+
+def _widened(border: Tensor, width: int) -> Tensor:
+    """Rows [B, 5, G] with empty places up to ``width`` segments."""
+    empty = torch.full((len(border), 5, width - border.shape[2]), FAR)
+    empty[:, 4] = ABSENT
+    return torch.cat((border, empty), 2)

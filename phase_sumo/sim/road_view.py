@@ -37,14 +37,17 @@ ABEAM = 2.5  # m: a border point this far ahead or behind counts as beside
 
 def view_points(
     graph: LaneGraph, xy: np.ndarray, kind: IntArray, of_node: IntArray, nodes: IntArray
-) -> NDArray[np.int32]:
-    """[len(nodes), R] road points seen from each node, -1 padded.
+) -> tuple[NDArray[np.int32], IntArray]:
+    """Road points seen from nodes.
 
     Args:
         graph: lane graph.
         xy, kind: [P, 2] m and [P], the road points; lane centres come first.
         of_node: [V] lane-centre point of each node.
-        nodes: nodes to look from; equal ones are looked up once.
+        nodes: nodes to look from; equal ones share a row.
+
+    Returns:
+        [V, R] points, -1 padded, and the row of each node [len(nodes)].
     """
     looked_from = np.bincount(nodes, minlength=len(of_node)) > 0
     used, row = np.flatnonzero(looked_from), np.cumsum(looked_from) - 1
@@ -74,7 +77,7 @@ def view_points(
             0 if table is centre else 1 if any(table is side for side in edges) else 2 for table, _ in columns
         ]
         seen[part] = _first_distinct(points, families, POINTS_PER_CELL)
-    return seen[row[nodes]]
+    return seen, row[nodes]
 
 
 @dataclass(frozen=True)

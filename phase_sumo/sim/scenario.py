@@ -10,6 +10,7 @@ from torch import Tensor
 
 from phase_sumo.config import Regime, ScenarioConfig, SimConfig
 from phase_sumo.errors import PhaseError
+from phase_sumo.sim.dimensions import sample_shape
 from phase_sumo.sim.geometry import boxes_overlap
 from phase_sumo.sim.lane_graph import LaneGraph
 from phase_sumo.sim.pool import StartGoalPool
@@ -161,7 +162,7 @@ def sample(
     count = low + torch.floor((high - low + 1) * torch.rand(worlds, generator=generator, device=device))
     wanted = torch.arange(slots, device=device) < count.unsqueeze(-1)
 
-    shape = sample_shape(size, config, generator, device)
+    shape = sample_shape(count, slots, config, generator)
     base = regimes.base_speed[tuple_index].unsqueeze(-1)
     spread = config.init_speed_spread
     speed = (base * (1.0 + uniform(-spread, spread))).clamp(0.0, sim.max_speed)
@@ -183,7 +184,7 @@ def sample(
             wanted
             & exists
             & ~active
-            & ~_conflicts(shape, trial, (alpha, braking_jerk), active, wanted, config)
+            & ~_conflicts(shape, trial, braking_jerk * alpha, active, wanted, config)
         )
         pair = torch.where(accepted, proposal, pair)
         state = proposed.where(accepted, state)
@@ -221,7 +222,7 @@ def _state_at(
 def _conflicts(
     shape: VehicleShape,
     trial: VehicleState,
-    range_and_jerk: tuple[Tensor, float],
+    braking: Tensor,
     active: Tensor,
     wanted: Tensor,
     config: ScenarioConfig,
@@ -233,15 +234,26 @@ def _conflicts(
     jerk -J alpha the speed difference D is gone after t = sqrt(2 D / (J alpha)), and 2/3 D t is closed.
 
     Args:
-        range_and_jerk: alpha [B, N] and the hardest braking jerk J in m/s^3.
+        braking: [B, N] J alpha in m/s^3.
     """
     box = boxes(shape, trial)
-    alpha, braking_jerk = range_and_jerk
-    slower = trial.speed.unsqueeze(-1)
-    faster = (trial.speed.unsqueeze(1) - slower).clamp_min(0.0)
-    closing = faster * torch.sqrt(2.0 * faster / (braking_jerk * alpha).unsqueeze(1)) * (2.0 / 3.0)
-    ahead = config.spawn_gap + config.spawn_time_headway * trial.speed.unsqueeze(1) + closing
-    touch = _claims(box, 0.5 * ahead)
+    gap = config.spawn_gap + config.spawn_time_headway * trial.speed
+    reach = shape.reach + gap + _closing(trial.speed, braking)
+    distance = torch.hypot(*(c.unsqueeze(1) - c.unsqueeze(2) for c in (trial.x, trial.y)))
+    present = active | wanted
+    close = (
+        (distance < reach.unsqueeze(2) + shape.reach.unsqueeze(1))
+        & present.unsqueeze(2)
+        & present.unsqueeze(1)
+    )
+    world, mine, other = close.nonzero(as_tuple=True)
+    faster = (trial.speed[world, mine] - trial.speed[world, other]).clamp_min(0.0)
+    ahead = 0.5 * (gap[world, mine] + _closing(faster, braking[world, mine]))
+    x, y, cos, sin, half_length, half_width = box[:, :, world, mine].unsqueeze(2)
+    claim = (x + ahead * cos, y + ahead * sin, cos, sin, half_length + ahead, half_width)
+    hit = boxes_overlap(claim, box[:, :, world, other].unsqueeze(1)).flatten(0, 1).any(0)
+    touch = torch.zeros_like(close)
+    touch[world[hit], mine[hit], other[hit]] = True
     touch = touch | touch.transpose(1, 2)
     slots = active.shape[1]
     earlier = torch.ones(slots, slots, dtype=torch.bool, device=active.device).tril(-1)
@@ -250,44 +262,6 @@ def _conflicts(
     return (touch & against).any(-1)
 
 
-def _claims(box: Tensor, ahead: Tensor) -> Tensor:
-    """[B, M, N] bool: vehicle n's boxes, ``ahead`` [B, M, N] m longer to the front, reach vehicle m's."""
-    touch = torch.zeros_like(ahead, dtype=torch.bool)
-    for part in (0, 1):
-        x, y, cos, sin, half_length, half_width = (v.unsqueeze(1) for v in box[:, part])
-        mine = (x + ahead * cos, y + ahead * sin, cos, sin, half_length + ahead, half_width)
-        for other in (0, 1):
-            touch |= boxes_overlap(mine, [v.unsqueeze(2) for v in box[:, other]])
-    return touch
-
-
-def sample_shape(
-    size: tuple[int, ...], config: ScenarioConfig, generator: torch.Generator, device: torch.device | str
-) -> VehicleShape:
-    """Vehicle geometry: cars, rigid trucks and tractor-trailers with US dimensions (see PAPER.md)."""
-
-    def uniform(low: float, high: float) -> Tensor:
-        return low + (high - low) * torch.rand(size, generator=generator, device=device)
-
-    def normal(mean: float, sigma: float, low: float, high: float) -> Tensor:
-        return (mean + sigma * torch.randn(size, generator=generator, device=device)).clamp(low, high)
-
-    truck = uniform(0.0, 1.0) < config.truck_ratio
-    articulated = truck & (uniform(0.0, 1.0) >= config.rigid_truck_ratio)
-    rigid = truck & ~articulated
-    length = torch.where(
-        articulated, uniform(6.0, 8.0), torch.where(rigid, uniform(7.0, 12.0), normal(4.9, 0.4, 3.8, 6.0))
-    )
-    width = torch.where(truck, uniform(2.45, 2.6), normal(1.9, 0.1, 1.65, 2.15))
-    trailer_length = torch.where(articulated, uniform(12.0, 16.2), 0.0)
-    return VehicleShape(
-        length=length,
-        width=width,
-        wheelbase=length * torch.where(articulated, 0.75, torch.where(rigid, 0.55, 0.6)),
-        rear_overhang=length * torch.where(articulated, 0.1, torch.where(rigid, 0.27, 0.2)),
-        trailer_length=trailer_length,
-        trailer_width=torch.where(articulated, uniform(2.5, 2.6), 0.0),
-        trailer_base=0.8 * trailer_length,
-        trailer_setback=torch.where(articulated, 0.9, 0.0),
-        truck=truck,
-    )
+def _closing(faster: Tensor, jerk: Tensor) -> Tensor:
+    """Metres that a vehicle closes on one slower by ``faster`` m/s while it brakes with -``jerk`` m/s^3."""
+    return faster * torch.sqrt(2.0 * faster / jerk) * (2.0 / 3.0)

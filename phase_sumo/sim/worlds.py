@@ -85,6 +85,7 @@ def advance(
     sim: SimConfig,
     reward_config: RewardConfig,
     actions: ActionConfig,
+    trailers: int,
 ) -> tuple[Worlds, Transition]:
     """One step of every world, without side effects, randomness or synchronisation with a device.
 
@@ -92,11 +93,12 @@ def advance(
         spare: the scenario that each world begins when all its agents have finished.
         action: [W, N] int64 tokens; those of inactive agents are ignored.
         rho: scalar curriculum progress.
+        trailers: only this many slots, the first ones, may have a trailer.
     """
     before, active, shape, task = worlds.state, worlds.active, worlds.shape, worlds.task
     jerk, rate = kinematics.command(action, task.alpha, actions)
     after = kinematics.advance(shape, before, jerk, rate, sim).where(active, before)
-    events = detect(shape, before, after, task, active, road_map, map_index, sim)
+    events = detect(shape, before, after, task, active, road_map, map_index, sim, trailers)
     terms = rewards(before, after, task, events, Multipliers.at(rho, reward_config), reward_config, sim)
 
     clock = worlds.clock + 1

@@ -171,7 +171,7 @@ def test_the_road_map_is_finite_and_every_node_has_a_cell(road):
     for name, array in road_map.arrays().items():
         assert np.isfinite(array).all(), name
     maps = road_map.grid_offset.new_zeros(1)
-    cell = road_map.cell(maps, *road_map.point_xy.new_tensor(graph.node_xy)[None].unbind(-1))
+    cell = road_map.cell(maps, *road_map.view.new_tensor(graph.node_xy)[None].unbind(-1))
     assert (cell < len(road_map.cell_yaw) - 1).all()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -46,12 +47,11 @@ def look(straight_map, shape, state, task, active=None, road: RoadMap | None = N
 
 def moved(road: RoadMap, dx: float, dy: float) -> RoadMap:
     """The road shifted by whole grid squares."""
-    fields = dict(vars(road))
-    shift = torch.tensor([dx, dy], dtype=road.point_xy.dtype)
-    fields["point_xy"] = road.point_xy + shift
-    fields["segment"] = road.segment + shift.repeat(2)
-    fields["grid_origin"] = road.grid_origin + shift.to(road.grid_origin.dtype)
-    return RoadMap(**fields)
+    shift = torch.tensor([dx, dy])
+    view, border = road.view.clone(), road.border.clone()
+    view[:, :2] += shift.unsqueeze(-1)
+    border[:, :4] += shift.repeat(2).unsqueeze(-1)
+    return replace(road, view=view, border=border, grid_origin=road.grid_origin + shift)
 
 
 def test_values_by_hand(straight_map):

@@ -76,7 +76,7 @@ def test_a_bundle_has_one_pool_per_regime_and_finite_numbers(converted):
     for part in (bundle.road_map, bundle.graph, *bundle.pools):
         for name, array in part.arrays().items():
             assert np.isfinite(array).all(), name
-    kinds = set(bundle.road_map.segment_kind.tolist())
+    kinds = set(bundle.road_map.segments()[1].tolist())
     assert kinds == {RoadKind.LANE_BOUNDARY, RoadKind.ROAD_EDGE}
 
 

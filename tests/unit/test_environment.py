@@ -38,7 +38,7 @@ def coast(env: Environment) -> torch.Tensor:
 def test_spawned_agents_do_not_overlap_and_fit_their_regime(straight_map):
     env = make(straight_map, worlds=32)
     box = boxes(env.worlds.shape, env.worlds.state)
-    assert not agent_contacts(box, env.worlds.active)[0].any()
+    assert not agent_contacts(box, env.worlds.active, 24)[0].any()
     for w in range(32):
         regime = REGIMES[env.regime_index[w]]
         speeds = env.worlds.state.speed[w][env.worlds.active[w]]

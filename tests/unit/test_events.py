@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+import shapely
 import torch
 
 from phase_sumo.config import SimConfig
@@ -16,7 +17,7 @@ SIM = SimConfig()
 def events_of(straight_map, shape, before, after, task):
     active = torch.ones_like(after.x, dtype=torch.bool)
     world = torch.zeros(1, dtype=torch.long)
-    return detect(shape, before, after, task, active, straight_map.road_map, world, SIM)
+    return detect(shape, before, after, task, active, straight_map.road_map, world, SIM, after.x.shape[1])
 
 
 def test_a_goal_is_not_jumped_over_at_30_metres_per_second(straight_map):
@@ -73,10 +74,37 @@ def test_every_collision_has_a_culprit(seed: int):
     )
     box = boxes(shape, state)
     active = torch.ones(1, 30, dtype=torch.bool)
-    touching, fault = agent_contacts(box, active)
-    assert touching.any() and torch.equal(touching, touching.transpose(1, 2))
-    assert not touching.diagonal(dim1=1, dim2=2).any()
-    assert (fault | fault.transpose(1, 2))[touching].all()
+    hulls = [
+        shapely.union_all([box_polygon(box[:, part, 0, i].tolist()) for part in (0, 1)]) for i in range(30)
+    ]
+    touched = [any(a.intersects(b) for j, b in enumerate(hulls) if i != j) for i, a in enumerate(hulls)]
+    collision, fault = agent_contacts(box, active, trailers=30)
+    assert collision[0].tolist() == touched
+    assert fault.any() and not (fault & ~collision).any()
+    for i in range(30):
+        pair = [i, (i + 1) % 30]
+        both, guilty = agent_contacts(box[..., pair], active[:, pair], trailers=2)
+        assert torch.equal(both.any(), guilty.any()), "somebody is at fault in every collision"
+
+
+def box_polygon(box: list[float]) -> shapely.Polygon:
+    x, y, cos, sin, length, width = box
+    corners = ((length, width), (-length, width), (-length, -width), (length, -width))
+    return shapely.Polygon([(x + u * cos - v * sin, y + u * sin + v * cos) for u, v in corners])
+
+
+def test_slots_without_trailers_need_not_be_searched_for_any():
+    generator = torch.Generator().manual_seed(1)
+    places = {
+        "x": (80 * torch.rand(20, generator=generator)).tolist(),
+        "y": (12 * torch.rand(20, generator=generator)).tolist(),
+    }
+    first = (torch.arange(20) < 6).unsqueeze(0)
+    shape = truck_shape(20).where(first, car_shape(20))
+    box = boxes(shape, vehicle_state(**places, hitch=[0.2] * 20, count=20))
+    active = torch.rand(1, 20, generator=generator) < 0.8
+    for some, every in zip(agent_contacts(box, active, 6), agent_contacts(box, active, 20), strict=True):
+        assert torch.equal(some, every)
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,11 @@ from phase_sumo.sim.near import nearest, pairs_within
 from phase_sumo.sim.road_build import build_road_map
 from phase_sumo.sim.road_cells import OFF_ROAD
 from phase_sumo.sim.road_map import (
+    ABSENT,
     BLOCK,
     CELL_SIZE,
     CONTACT_REACH,
+    FAR,
     POINTS_PER_CELL,
     SEGMENTS_PER_CELL,
     RoadKind,
@@ -119,26 +121,24 @@ def test_the_road_is_open_where_vehicles_enter_and_leave(ramp):
 # --- tables --------------------------------------------------------------------------------------------
 
 
-def test_the_tables_keep_their_padding_rows(ramp):
+def test_the_tables_keep_their_empty_rows(ramp):
     road = ramp[2]
     assert road.count == 1
-    assert road.point_kind[-1] == -1
-    assert road.point_xy[-1].min() > 1e5
-    assert road.segment[-1].min() > 1e5
+    for table, row in ((road.view, road.cell_view), (road.border, road.cell_border)):
+        assert (table[-1, 4] == ABSENT).all()
+        assert row[-1] == row.max() == len(table) - 1
+        assert row.min() == 0
+        assert (table[:, 4] >= 0).any(1)[:-1].all(), "no other empty row"
     assert road.cell_off_road[-1]
-    assert (road.cell_points[-1] == road.point_kind.shape[0] - 1).all()
-    assert (road.cell_segments[-1] == road.segment_kind.shape[0] - 1).all()
-    assert road.cell_points.shape[1] == POINTS_PER_CELL
-    assert road.cell_segments.shape[1] == SEGMENTS_PER_CELL
-    for index, table in ((road.cell_points, road.point_kind), (road.cell_segments, road.segment_kind)):
-        assert index.min() >= 0
-        assert index.max() == table.shape[0] - 1
+    assert road.view.shape[2] == POINTS_PER_CELL
+    assert road.border.shape[2] <= SEGMENTS_PER_CELL
 
 
 def test_points_lie_on_their_lines_and_point_with_the_traffic(ramp):
     network, _, road = ramp
-    xy, kind = road.point_xy[:-1].numpy(), road.point_kind[:-1].numpy()
-    along = road.point_dir[:-1].numpy()
+    points = road.view.transpose(1, 2).reshape(-1, 5)
+    points = points[points[:, 4] != ABSENT].unique(dim=0).numpy()
+    xy, along, kind = points[:, :2], points[:, 2:4], points[:, 4]
     np.testing.assert_allclose(np.hypot(*along.T), 1.0, atol=1e-5)
     centres = MultiLineString([LineString(lane.points) for lane in network.lanes])
     lines = road_lines(network)
@@ -171,13 +171,15 @@ def cell_centres(road: RoadMap) -> np.ndarray:
 def test_a_cell_knows_every_segment_that_a_vehicle_in_it_can_touch(ramp):
     road = ramp[2]
     centres = cell_centres(road)
-    padding = road.segment_kind.shape[0] - 1
-    lines = shapely.linestrings(road.segment[:-1].numpy().astype(float).reshape(-1, 2, 2))
+    segment, _ = road.segments()
+    number = {tuple(row): k for k, row in enumerate(segment.tolist())}
+    lines = shapely.linestrings(segment.numpy().astype(float).reshape(-1, 2, 2))
     for cell in range(0, len(centres), 7):
         distance = shapely.distance(Point(centres[cell]), lines)
-        row = road.cell_segments[cell]
-        listed = set(row[row < padding].tolist())
-        assert len(listed) == int((row < padding).sum()), "each segment once"
+        *ends, kind = road.borders_at(torch.tensor(cell))
+        rows = torch.stack(ends, -1)[kind != ABSENT].tolist()
+        listed = {number[tuple(row)] for row in rows}
+        assert len(listed) == len(rows), "each segment once"
         close = set(np.flatnonzero(distance < CONTACT_REACH - 0.01).tolist())
         wide = set(np.flatnonzero(distance < CONTACT_REACH + 0.01).tolist())
         assert close <= listed <= wide
@@ -216,10 +218,9 @@ def test_what_is_seen_from_a_cell_lies_ahead(ramp):
     _, graph, road = ramp
     node = int(np.argmin(np.hypot(*(graph.node_xy - np.array([150.0, 0.0])).T)))
     cell = int(road.cell(FIRST, *torch.from_numpy(graph.node_xy[node])[None, None].unbind(-1))[0, 0])
-    seen = road.cell_points[cell]
-    seen = seen[seen < road.point_kind.shape[0] - 1]
-    xy, kind = road.point_xy[seen], road.point_kind[seen]
-    assert len(set(seen.tolist())) == len(seen) >= 28
+    x, y, _, _, kind = road.seen_from(torch.tensor(cell))
+    xy, kind = torch.stack((x, y), -1)[kind != ABSENT], kind[kind != ABSENT]
+    assert len({tuple(point) for point in xy.tolist()}) == len(xy) >= 28
     assert xy[:, 0].min() > 140
     assert xy[:, 0].max() < 260
     counts = {
@@ -245,14 +246,14 @@ def one_map(lanes: int, length: float, shift: float) -> RoadMap:
 def seen(road: RoadMap, index: int, xy: torch.Tensor) -> dict[str, torch.Tensor]:
     """Everything the map says about positions [n, 2], without the indices themselves."""
     cell = road.cell(torch.tensor([index]), *xy[None].unbind(-1))[0]
+    *ends, kind = road.borders_at(cell)
+    border = torch.stack((*ends, torch.where(kind == ABSENT, FAR, kind)), -1)
     return {
         "yaw": road.cell_yaw[cell],
         "off_road": road.cell_off_road[cell],
-        "points": road.point_xy[road.cell_points[cell]],
-        "directions": road.point_dir[road.cell_points[cell]],
-        "kinds": road.point_kind[road.cell_points[cell]],
-        "segments": road.segment[road.cell_segments[cell]],
-        "segment_kinds": road.segment_kind[road.cell_segments[cell]],
+        "points": torch.stack(road.seen_from(cell), -1),
+        # maps differ in how many segments a row has room for
+        "borders": torch.nn.functional.pad(border, (0, 0, 0, SEGMENTS_PER_CELL - border.shape[1]), value=FAR),
     }
 
 
@@ -307,7 +308,7 @@ def test_a_bundle_is_current_only_for_what_it_was_made_from(tmp_path, straight_m
     again = load_if_current(path, key)
     assert again is not None
     assert again.key == key
-    assert torch.equal(again.road_map.cell_points, straight_map.road_map.cell_points)
+    assert torch.equal(again.road_map.view, straight_map.road_map.view)
     assert all(load_if_current(path, other) is None for other in others)
     path.write_bytes(path.read_bytes()[:2000])
     assert load_if_current(path, key) is None, "damaged"
