@@ -21,6 +21,7 @@ COINCIDE = 0.5  # m: the last node of a lane stands for the first of the next on
 ABREAST = 1.75  # lane widths: nodes of adjacent lanes further apart are not abreast
 BEYOND = 1.1  # m along the lane, likewise: beside a lane's end, or its first node where that is left out
 ABREAST_ROUNDS = 4  # of sliding along the other lane
+BEND = 12  # nodes, about 25 m in all: more than the longest usual segment of a lane's polyline
 CURVATURE_SMOOTHING = 20  # passes of a three-node mean, a Gaussian of about 4 m
 
 
@@ -68,6 +69,17 @@ class LaneGraph:
         """[V] last node of each node's lane; the nodes of a lane are numbered in driving direction."""
         last = np.append(np.flatnonzero(np.diff(self.node_lane)), len(self.node_lane) - 1)
         return np.repeat(last, np.diff(last, prepend=-1))
+
+    @cached_property
+    def bend(self) -> np.ndarray:
+        """[V] size of the mean curvature over `BEND` nodes of the lane either way, 1/m.
+
+        Lanes are polylines, whose curvature sits in their corners; a vehicle drives the curve they stand for.
+        """
+        total = np.concatenate(([0.0], np.cumsum(self.node_curvature, dtype=np.float64)))
+        node = np.arange(len(self.node_lane))
+        first, last = np.maximum(node - BEND, self.lane_start), np.minimum(node + BEND, self.lane_end)
+        return np.abs(total[last + 1] - total[first]) / (last + 1 - first)
 
     @cached_property
     def lane_start(self) -> np.ndarray:

@@ -51,7 +51,7 @@ def build_pool(graph: LaneGraph, regime: Regime, max_lane_changes: int = 3, seed
     while searching, lane graph included (measured on 117 km of three-lane freeway).
     """
     rng = np.random.default_rng(seed)
-    drivable = np.abs(graph.node_curvature) * regime.base_speed**2 <= LATERAL_ACCEL
+    drivable = graph.bend * regime.base_speed**2 <= LATERAL_ACCEL
     if not drivable.any():
         return StartGoalPool(*(np.zeros(0, kind) for kind in (np.int32, np.int32, np.float32, np.int8, bool)))
     graph = graph.restricted(drivable)

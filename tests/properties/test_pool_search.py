@@ -48,7 +48,7 @@ class SlowSearch:
             for nodes, steps in zip(graph.successor, graph.step, strict=True)
         ]
         self.sides = ((graph.left.tolist(), -1), (graph.right.tolist(), +1))
-        drivable = np.abs(graph.node_curvature) * regime.base_speed**2 <= LATERAL_ACCEL
+        drivable = graph.bend * regime.base_speed**2 <= LATERAL_ACCEL
         self.allowed = (drivable & (graph.node_truck | (not trucks))).tolist()
         self.longest, self.reach = regime.path_bounds[1], lane_change_length(regime)
         self.open = tuple(self._open(side) for side, _ in self.sides)
