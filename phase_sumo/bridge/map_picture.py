@@ -23,6 +23,7 @@ COLOURS = {
 WIDTH = 16.0  # inches
 HEIGHTS = 1.2, 16.0  # inches, of one panel
 LABELS = 0.6  # inches of height for ticks and labels of a panel
+LEFT, RIGHT, BELOW, ABOVE = 0.7, 0.2, 0.5, 0.35  # inches around the panels
 TALLEST = 32.0  # inches, of the picture
 MARGIN = 15.0  # m around the lanes
 PANEL = 600.0  # m of road per panel: a lane is then about ten pixels wide
@@ -53,8 +54,16 @@ def draw_map(
     """
     views = [view] if view is not None else _views(bundle.graph.node_xy)
     size, heights = _sizes(views)
-    figure = Figure(size, dpi=110, layout="constrained")
+    figure = Figure(size, dpi=110)
     panels = np.atleast_1d(figure.subplots(len(views), 1, height_ratios=heights))
+    # fixed margins: letting matplotlib find them draws everything twice
+    figure.subplots_adjust(
+        LEFT / size[0],
+        BELOW / size[1],
+        1 - RIGHT / size[0],
+        1 - ABOVE / size[1],
+        hspace=LABELS / np.mean(heights),
+    )
     links = _links(bundle, pairs * max(1, len(views) - 1), regime, seed)
     for i, (axes, (x0, x1, y0, y1)) in enumerate(zip(panels, views, strict=True)):
         _draw_road(axes, bundle)
@@ -70,7 +79,7 @@ def _save(figure: Figure, path: Path) -> None:
     """The file appears complete or not at all."""
     temporary = path.with_name(f".{path.name}.tmp")
     try:
-        figure.savefig(temporary, format="png")
+        figure.savefig(temporary, format="png", pil_kwargs={"compress_level": 2})
         temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)

@@ -103,7 +103,10 @@ class RoadMap:
     def segments(self) -> tuple[Tensor, Tensor]:
         """All border segments [S, 4] in m, and their kinds [S]."""
         rows = self.border.transpose(1, 2).reshape(-1, 5)
-        rows = rows[rows[:, 4] != ABSENT].unique(dim=0)
+        rows = rows[rows[:, 4] != ABSENT]
+        # sorting whole rows as bytes is many times faster than column by column
+        _, first = np.unique(rows.numpy().view("V20"), return_index=True)
+        rows = rows[torch.from_numpy(first)]
         return rows[:, :4], rows[:, 4].long()
 
     def to(self, device: torch.device | str) -> RoadMap:
