@@ -78,10 +78,13 @@ def _floats(array: np.ndarray) -> torch.Tensor:
 
 def _rows(index: NDArray[np.int32], values: FloatArray, kind: NDArray[np.int64]) -> torch.Tensor:
     """[n + 1, 5, k] the values that index [n, k] points to, empty for -1 and in the last row."""
-    empty = np.array([[FAR, FAR, FAR, FAR, ABSENT]], np.float32)
-    table = np.concatenate((np.column_stack((values, kind)).astype(np.float32), empty))
-    rows = np.concatenate((index, np.full((1, index.shape[1]), -1, index.dtype)))
-    return torch.from_numpy(np.ascontiguousarray(table[rows].transpose(0, 2, 1)))
+    empty = np.array([[FAR], [FAR], [FAR], [FAR], [ABSENT]])
+    columns = np.concatenate((np.column_stack((values, kind)).T, empty), 1).astype(np.float32)
+    rows = np.empty((len(index) + 1, 5, index.shape[1]), np.float32)
+    rows[-1] = empty
+    for k, column in enumerate(columns):
+        np.take(column, index, out=rows[:-1, k], mode="wrap")  # -1 is the empty one at the end
+    return torch.from_numpy(rows)
 
 
 def _points(lines: list[RoadLine], graph: LaneGraph) -> RoadPoints:
