@@ -41,7 +41,9 @@ def scene(count: int = 12, seed: int = 0):
 def look(straight_map, shape, state, task, active=None, road: RoadMap | None = None, noise=None):
     active = torch.ones_like(state.x, dtype=torch.bool) if active is None else active
     outcome = Outcome(*(torch.zeros_like(active) for _ in range(4)))
-    worlds = Worlds(shape, state, task, outcome, active, torch.zeros(1, dtype=torch.long))
+    worlds = Worlds(
+        shape, state, task, outcome, active, torch.zeros_like(active).long(), torch.zeros(1, dtype=torch.long)
+    )
     return look_at(worlds, road or straight_map.road_map, MAP, noise, SIM).rows(active)
 
 
