@@ -248,7 +248,8 @@ def test_a_weaving_section(regime):
 @pytest.mark.parametrize("regime", REGIMES, ids=lambda regime: regime.name)
 @pytest.mark.parametrize("path", [*SHIPPED, *REAL, A10], ids=lambda path: path.name.split(".")[0])
 def test_real_and_shipped_networks(path, regime):
-    pool, covered = check(real_graph(path), regime)
+    graph = real_graph(path)
+    pool, covered = check(graph, regime)
     if (graph.bend * regime.base_speed**2 <= LATERAL_ACCEL).mean() > 0.9:
         assert len(pool.start) > 100
     assert covered >= COVERED
