@@ -15,7 +15,7 @@ import torch
 from phase_sumo.config import REGIMES, TrainConfig
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.bundle import MapBundle
-from phase_sumo.sim.environment import Environment
+from phase_sumo.sim.environment import Environment, tensors
 from phase_sumo.sim.lanes import LaneNetwork
 
 Progress = Callable[[float, str], None]
@@ -44,14 +44,29 @@ def machine() -> dict[str, Any]:
 def bench_sim(
     maps: list[MapBundle], worlds: int, slots: int, steps: int, seed: int, progress: Progress
 ) -> dict:
-    """Environment steps alone (kinematics, events, reward, resets, observation) under realistic driving.
+    """Compiled environment steps alone: kinematics, events, reward, resets, observation with noise.
 
-    The shipped policy drives; its own time is not counted.
+    Full worlds: the regime that fills ``slots``, with rolling goals. The shipped policy drives; its own time
+    is not counted. With it go the bytes that a step must at least move, and the memory's speed for a copy.
     """
     policy = load_policy()
     config = TrainConfig()
-    scenarios = replace(config.scenarios, agent_scale=1.0)
-    env = Environment(maps, worlds, slots, policy.sim, scenarios, config.reward, policy.actions, seed=seed)
+    regime = next(r for r in (REGIMES[1], REGIMES[0]) if r.agents[1] >= slots)
+    full = replace(regime, agents=(slots, slots), agents_late=(slots, slots))
+    scenarios = replace(config.scenarios, regimes=(full,), agent_scale=1.0)
+    maps = [replace(m, pools=(m.pools[REGIMES.index(regime)],)) for m in maps]
+    env = Environment(
+        maps,
+        worlds,
+        slots,
+        policy.sim,
+        scenarios,
+        config.reward,
+        policy.actions,
+        seed=seed,
+        compiled=True,
+        rolling=True,
+    )
     generator = torch.Generator().manual_seed(seed)
     spent, agent_steps = 0.0, 0
     for t in range(WARM_UP + steps):
@@ -65,7 +80,34 @@ def bench_sim(
             spent += time.process_time() - began
             agent_steps += acting
         progress((t + 1) / (WARM_UP + steps), "simulator")
-    return _per_step("sim", agent_steps, spent) | {"worlds": worlds, "slots": slots}
+    bytes_moved = _step_bytes(env)
+    return _per_step("sim", agent_steps, spent) | {
+        "worlds": worlds,
+        "slots": slots,
+        "active_share": agent_steps / (steps * worlds * slots),
+        "bytes_per_agent_step": bytes_moved,
+        "share_of_memory_bandwidth": bytes_moved * agent_steps / spent / _copy_speed(),
+    }
+
+
+def _step_bytes(env: Environment) -> float:
+    """Bytes per agent that a step has to read or write: state, road rows, noise, observation."""
+    agents = env.worlds.active.numel()
+    written = sum(t.numel() * t.element_size() for t in tensors(env.observation))
+    state = 2 * sum(t.numel() * t.element_size() for t in tensors(env.worlds))
+    road = 4.0 * (env.road_map.view[0].numel() + 2 * env.road_map.border[0].numel())
+    noise = 4.0 * (4 * env.sim.neighbours + 2 * env.road_map.view.shape[2])
+    return (written + state) / agents + road + noise
+
+
+def _copy_speed() -> float:
+    """Bytes per CPU second that a copy of 256 MB reads and writes."""
+    source = torch.zeros(2**26)
+    target = source.clone()
+    began = time.process_time()
+    for _ in range(4):
+        target.copy_(source)
+    return 4 * 2 * source.numel() * 4 / (time.process_time() - began)
 
 
 def bench_train(maps: list[MapBundle], config: TrainConfig, updates: int, progress: Progress) -> dict:

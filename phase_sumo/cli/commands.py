@@ -178,18 +178,18 @@ def bench(args: argparse.Namespace) -> Any:
     for part in args.parts or ["sim", "train", "bridge", "convert"]:
         with progress_bar(f"bench {part}") as progress:
             if part == "sim":
-                results.append(
-                    measure.bench_sim(load_maps(networks, None), 16, 64, args.steps, args.seed, progress)
-                )
+                maps = load_maps(networks, None)
+                rows = [measure.bench_sim(maps, 16, n, args.steps, args.seed, progress) for n in (64, 256)]
             elif part == "train":
-                results.append(measure.bench_train(load_maps(networks, None), TrainConfig(), 5, progress))
+                rows = [measure.bench_train(load_maps(networks, None), TrainConfig(), 5, progress)]
             elif part == "convert":
-                results.append(
-                    measure.bench_convert(find_files(networks, (".net.xml", ".net.xml.gz")), progress)
-                )
+                files = find_files(networks, (".net.xml", ".net.xml.gz"))
+                rows = [measure.bench_convert(files, progress)]
             else:
-                results.append(measure.bench_bridge(Path(args.cfg), args.seed, progress))
-        print("  ".join(f"{k} {f'{v:.4g}' if isinstance(v, float) else v}" for k, v in results[-1].items()))
+                rows = [measure.bench_bridge(Path(args.cfg), args.seed, progress)]
+        for row in rows:
+            print("  ".join(f"{k} {f'{v:.4g}' if isinstance(v, float) else v}" for k, v in row.items()))
+        results += rows
     return {"machine": measure.machine(), "results": results}
 
 

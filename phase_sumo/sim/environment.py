@@ -15,9 +15,10 @@ from phase_sumo.sim.dimensions import truck_slots
 from phase_sumo.sim.noise import NoiseTable
 from phase_sumo.sim.observation import Observation
 from phase_sumo.sim.road_map import POINTS_PER_CELL, merge
+from phase_sumo.sim.rolling import NextGoals
 from phase_sumo.sim.scenario import Scenario
 from phase_sumo.sim.tuples import map_regime_tuples
-from phase_sumo.sim.worlds import Outcome, Transition, Worlds, advance, look
+from phase_sumo.sim.worlds import Outcome, RollingGoals, Transition, Worlds, advance, look
 
 RESAMPLE_EVERY = 32  # steps between refills of the scenarios that finished worlds take over
 
@@ -35,6 +36,7 @@ class Environment:
         seed: fixes everything on one device.
         training: perturb partner and road observations, and start the clocks of the worlds apart so that
             resets spread over time.
+        rolling: agents at their goal get the next one and stay until the road or the horizon ends.
         compiled: step through torch.compile (about a minute to start; many times faster from then on).
 
     Attributes:
@@ -56,6 +58,7 @@ class Environment:
         device: torch.device | str = "cpu",
         training: bool = True,
         compiled: bool = False,
+        rolling: bool = False,
     ) -> None:
         self.sim, self.scenarios, self.reward_config, self.actions = sim, scenarios, reward, actions
         self.slots, self.rho = slots, 0.0
@@ -63,7 +66,9 @@ class Environment:
         self.generator = torch.Generator(device=device).manual_seed(seed)
         self.road_map = merge([m.road_map for m in maps]).to(device)
         tuples = map_regime_tuples(maps, scenarios.regimes)
-        self.pairs = scenario.PairTable([(maps[m].graph, maps[m].pools[r]) for m, r in tuples], device)
+        pools = [(maps[m].graph, maps[m].pools[r]) for m, r in tuples]
+        self.pairs = scenario.PairTable(pools, device)
+        self._next_goals = NextGoals.of(pools, device) if rolling else None
         self.regimes = scenario.RegimeTable.of(
             [scenarios.regimes[r] for _, r in tuples], scenarios.agent_scale, slots, device
         )
@@ -86,7 +91,9 @@ class Environment:
         latest = self.sim.horizon if self._noise else 1
         clock = torch.randint(latest, (worlds,), generator=self.generator, device=device)
         outcome = Outcome(*(torch.zeros_like(fresh.active) for _ in range(4)))
-        self.worlds = Worlds(fresh.shape, fresh.state, fresh.task, outcome, fresh.active, clock)
+        self.worlds = Worlds(
+            fresh.shape, fresh.state, fresh.task, outcome, fresh.active, fresh.goal_node, clock
+        )
         self._spare = self._sample(self.tuple_index)
         self._used = torch.zeros_like(clock, dtype=torch.bool)
         self._steps = 0
@@ -111,6 +118,7 @@ class Environment:
             self.reward_config,
             self.actions,
             self.trailers,
+            self._rolling(),
         )
         self._used |= transition.over
         self._steps += 1
@@ -118,6 +126,13 @@ class Environment:
             self._resample()
         self.observation = self._observe()
         return transition
+
+    def _rolling(self) -> RollingGoals | None:
+        if self._next_goals is None:
+            return None
+        size, device = self.worlds.active.shape, self.tuple_index.device
+        uniform = torch.rand(size, generator=self.generator, device=device)
+        return RollingGoals(self._next_goals, self.pairs.node, uniform)
 
     def _observe(self) -> Observation:
         noise = None
@@ -131,7 +146,7 @@ class Environment:
         used = self._used.nonzero().squeeze(-1)
         if len(used):
             fresh = self._sample(self.tuple_index[used])
-            for old, new in zip(_tensors(self._spare), _tensors(fresh), strict=True):
+            for old, new in zip(tensors(self._spare), tensors(fresh), strict=True):
                 old.index_copy_(0, used, new)
             self._used.zero_()
 
@@ -151,9 +166,9 @@ class Environment:
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes while stepping, for a checkpoint."""
         return {
-            "worlds": _tensors(self.worlds),
-            "spare": _tensors(self._spare),
-            "observation": _tensors(self.observation),
+            "worlds": tensors(self.worlds),
+            "spare": tensors(self._spare),
+            "observation": tensors(self.observation),
             "used": self._used,
             "steps": self._steps,
             "rho": self.rho,
@@ -168,15 +183,15 @@ class Environment:
             ("spare", self._spare),
             ("observation", self.observation),
         ):
-            for mine, theirs in zip(_tensors(batch), stored[name], strict=True):
+            for mine, theirs in zip(tensors(batch), stored[name], strict=True):
                 mine.copy_(theirs)
         self._used, self._steps, self.rho = stored["used"], stored["steps"], stored["rho"]
         self.generator.set_state(stored["generator"])
         self._places.set_state(stored["places"])
 
 
-def _tensors(batch: Any) -> list[Tensor]:
+def tensors(batch: Any) -> list[Tensor]:
     """All tensors of nested dataclasses, in the order of their fields."""
     if isinstance(batch, Tensor):
         return [batch]
-    return [tensor for f in fields(batch) for tensor in _tensors(getattr(batch, f.name))]
+    return [tensor for f in fields(batch) for tensor in tensors(getattr(batch, f.name))]

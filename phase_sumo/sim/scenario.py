@@ -28,12 +28,14 @@ class Scenario:
 
     Attributes:
         active: [B, N] bool, slots that hold an agent.
+        goal_node: [B, N] node of each goal in the pair table.
     """
 
     shape: VehicleShape
     state: VehicleState
     task: Task
     active: Tensor
+    goal_node: Tensor
 
 
 class PairTable:
@@ -191,9 +193,9 @@ def sample(
         active = active | accepted
         if bool((active == wanted).all()):
             break
-    goal = pairs.node[pairs.goal[pair]]
-    task = Task(goal[..., 0], goal[..., 1], goal[..., 2], goal_speed, alpha)
-    return Scenario(shape, state, task, active)
+    goal_node = pairs.goal[pair]
+    x, y, yaw, _ = pairs.node[goal_node].unbind(-1)
+    return Scenario(shape, state, Task(x, y, yaw, goal_speed, alpha), active, goal_node)
 
 
 def _state_at(

@@ -14,6 +14,7 @@ from phase_sumo.sim.neighbours import gather, nearest
 from phase_sumo.sim.observation import Observation, appearance, observe
 from phase_sumo.sim.reward import Multipliers, rewards
 from phase_sumo.sim.road_map import RoadMap
+from phase_sumo.sim.rolling import NextGoals
 from phase_sumo.sim.scenario import Scenario
 from phase_sumo.sim.vehicles import Task, TensorBatch, VehicleShape, VehicleState
 
@@ -40,6 +41,7 @@ class Worlds:
     Attributes:
         shape, state, task, outcome: of the agents, [W, N].
         active: [W, N] bool, slots with an agent that has not finished.
+        goal_node: [W, N] node of each goal in the pair table.
         clock: [W] steps since the world's scenario began.
     """
 
@@ -48,7 +50,27 @@ class Worlds:
     task: Task
     outcome: Outcome
     active: Tensor
+    goal_node: Tensor
     clock: Tensor
+
+
+@dataclass(frozen=True)
+class RollingGoals:
+    """For one step: table of next goals, x, y, yaw and curvature of all nodes [V, 4], and uniform [W, N]."""
+
+    table: NextGoals
+    node: Tensor
+    uniform: Tensor
+
+    def advance(
+        self, reached: Tensor, goal_node: Tensor, truck: Tensor, task: Task
+    ) -> tuple[Tensor, Task, Tensor]:
+        """Goal nodes and tasks after agents have ``reached`` [W, N] theirs, and which of them go on."""
+        following, exists = self.table.draw(goal_node, truck, self.uniform)
+        goes_on = reached & exists
+        x, y, yaw, _ = self.node[following].unbind(-1)
+        onward = Task(x, y, yaw, task.goal_speed, task.alpha)
+        return torch.where(goes_on, following, goal_node), onward.where(goes_on, task), goes_on
 
 
 @dataclass
@@ -58,7 +80,7 @@ class Transition:
     Attributes:
         reward: 0 for agents that were not active.
         active: agents that acted in this step.
-        terminated: reached the goal or became unrecoverable.
+        terminated: reached the goal (the last one, where goals roll on) or became unrecoverable.
         truncated: ran out of time.
         finished: terminated or truncated, with ``outcome`` final.
         over: [W] bool, worlds that began a new scenario after the step.
@@ -86,6 +108,7 @@ def advance(
     reward_config: RewardConfig,
     actions: ActionConfig,
     trailers: int,
+    rolling: RollingGoals | None = None,
 ) -> tuple[Worlds, Transition]:
     """One step of every world, without side effects, randomness or synchronisation with a device.
 
@@ -94,6 +117,7 @@ def advance(
         action: [W, N] int64 tokens; those of inactive agents are ignored.
         rho: scalar curriculum progress.
         trailers: only this many slots, the first ones, may have a trailer.
+        rolling: gives agents at their goal the next one; without it they leave.
     """
     before, active, shape, task = worlds.state, worlds.active, worlds.shape, worlds.task
     jerk, rate = kinematics.command(action, task.alpha, actions)
@@ -102,7 +126,10 @@ def advance(
     terms = rewards(before, after, task, events, Multipliers.at(rho, reward_config), reward_config, sim)
 
     clock = worlds.clock + 1
-    terminated = events.goal | events.unrecoverable
+    goal_node, goes_on = worlds.goal_node, torch.zeros_like(active)
+    if rolling is not None:
+        goal_node, task, goes_on = rolling.advance(events.goal, goal_node, shape.truck, task)
+    terminated = (events.goal & ~goes_on) | events.unrecoverable
     truncated = active & ~terminated & (clock >= sim.horizon).unsqueeze(-1)
     finished = terminated | truncated
     outcome = Outcome(
@@ -131,6 +158,7 @@ def advance(
         task=spare.task.where(fresh, task),
         outcome=outcome.map(lambda happened: happened & ~fresh),
         active=torch.where(fresh, spare.active, left),
+        goal_node=torch.where(fresh, spare.goal_node, goal_node),
         clock=torch.where(over, 0, clock),
     )
     return following, transition

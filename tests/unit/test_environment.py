@@ -16,7 +16,7 @@ ACTIONS = ActionConfig()
 COAST = ACTIONS.jerk.index(0.0) * len(ACTIONS.steering_rate) + ACTIONS.steering_rate.index(0.0)
 
 
-def make(straight_map, worlds=8, slots=24, seed=0, training=False, scenarios=None) -> Environment:
+def make(straight_map, worlds=8, slots=24, seed=0, training=False, scenarios=None, **options) -> Environment:
     scenarios = scenarios or ScenarioConfig(agent_scale=0.25)
     return Environment(
         [straight_map],
@@ -28,6 +28,7 @@ def make(straight_map, worlds=8, slots=24, seed=0, training=False, scenarios=Non
         ACTIONS,
         seed,
         training=training,
+        **options,
     )
 
 
@@ -148,3 +149,25 @@ def test_everything_stays_finite_under_extreme_actions(straight_map, jerk: float
         step = env.step(torch.full(env.worlds.active.shape, token))
         assert step.reward.isfinite().all()
         assert all(t.isfinite().all() for t in vars(env.observation).values())
+
+
+def test_rolling_goals_go_on_until_the_road_ends(straight_map):
+    env = make(straight_map, worlds=16, rolling=True)
+    reached = ended_at_goal = 0
+    for _ in range(SimConfig().horizon - 1):
+        before = env.worlds
+        step = env.step(coast(env))
+        same = ~step.over.unsqueeze(-1) & step.active
+        moved = same & (env.worlds.goal_node != before.goal_node)
+        reached += int(moved.sum())
+        assert not (moved & step.terminated & ~step.outcome.goal).any()
+        # the next goal lies ahead in the direction of travel, the context stays
+        ahead = (env.worlds.task.goal_x - env.worlds.state.x)[moved]
+        assert (ahead > 0).all()
+        assert torch.equal(env.worlds.task.alpha[moved], before.task.alpha[moved])
+        first = step.outcome.goal & ~before.outcome.goal
+        at_the_end = same & step.terminated & first & ~moved
+        ended_at_goal += int(at_the_end.sum())
+        assert (env.worlds.state.x[at_the_end] > 300).all()
+    assert reached > 100
+    assert ended_at_goal > 0
