@@ -1,7 +1,7 @@
 """Rolling goals: a vehicle that has reached its goal gets the next one instead of leaving.
 
 Episodes of the paper end at the goal. Long-running traffic goes on: the next goal is that of a start-goal
-pair of the same pool that starts where the last one ended. (Behind the bridge, SUMO's route gives the next goal.)
+pair of the same pool that starts where the last one ended. Behind the bridge, SUMO's route gives it.
 """
 
 from __future__ import annotations
