@@ -62,7 +62,7 @@ def draw_map(
         BELOW / size[1],
         1 - RIGHT / size[0],
         1 - ABOVE / size[1],
-        hspace=LABELS / np.mean(heights),
+        hspace=LABELS / float(np.mean(heights)),
     )
     links = _links(bundle, pairs * max(1, len(views) - 1), regime, seed)
     for i, (axes, (x0, x1, y0, y1)) in enumerate(zip(panels, views, strict=True)):

@@ -144,8 +144,31 @@ def road_contacts(box: Tensor, road_map: RoadMap, map_index: Tensor, trailers: i
     # a trailer without extent lies on its tractor's reference point and adds no contact of its own
     behind = _border_contacts(trailer, road_map, road_map.cell(map_index, trailer[0], trailer[1]))
     others = (0, box.shape[3] - trailers)
-    edge = edge | torch.nn.functional.pad(behind[0], others) | road_map.cell_off_road[cell]
+    edge = edge | torch.nn.functional.pad(behind[0], others) | beside_road(tractor[:2], road_map, cell)
     return edge, boundary | torch.nn.functional.pad(behind[1], others)
+
+
+def beside_road(xy: Tensor, road_map: RoadMap, cell: Tensor) -> Tensor:
+    """Whether points lie off the drivable surface, wherever the grid lies.
+
+    The way from the point to the lane node nearest to its cell crosses the road edge an odd number of times.
+    It is at most 9 m long, so that the cell's border segments hold every edge that it can cross.
+
+    Args:
+        xy: [2, W, N] m.
+        cell: [W, N] the points' cells.
+
+    Returns:
+        [W, N] bool.
+    """
+    px, py = (v.unsqueeze(-1) for v in xy)
+    nx, ny = (v.unsqueeze(-1) for v in road_map.cell_node[cell].unbind(-1))
+    ax, ay, bx, by, kind = road_map.borders_at(cell)
+    way_x, way_y, edge_x, edge_y = nx - px, ny - py, bx - ax, by - ay
+    a_left, b_left = (way_x * (y - py) - way_y * (x - px) > 0 for x, y in ((ax, ay), (bx, by)))
+    p_left, n_left = (edge_x * (y - ay) - edge_y * (x - ax) > 0 for x, y in ((px, py), (nx, ny)))
+    crossings = ((a_left != b_left) & (p_left != n_left) & (kind == ROAD_EDGE)).float().sum(-1)
+    return (torch.remainder(crossings, 2.0) > 0.5) | road_map.cell_off_road[cell]
 
 
 def _border_contacts(box: Tensor, road_map: RoadMap, cell: Tensor) -> tuple[Tensor, Tensor]:

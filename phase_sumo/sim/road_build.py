@@ -63,6 +63,7 @@ def build_road_map(lines: list[RoadLine], graph: LaneGraph) -> RoadMap:
         cell_view=torch.from_numpy(np.append(row, len(seen))),
         cell_border=torch.from_numpy(np.append(border_row, touched.sum())),
         cell_yaw=_floats(np.append(graph.node_yaw[node], 0.0)),
+        cell_node=_floats(np.concatenate((graph.node_xy[node], [[FAR, FAR]]))),
         cell_off_road=torch.from_numpy(np.append(off_road, True)),
         grid=torch.from_numpy(squares),
         grid_block=torch.from_numpy(np.append((grid.block + 1) * BLOCK**2, 0)),

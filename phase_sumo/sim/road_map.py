@@ -45,6 +45,7 @@ class RoadMap:
             ax, ay, bx, by in m, and kind.
         cell_view, cell_border: [C] rows of ``view`` and ``border``; the last rows are empty.
         cell_yaw: [C] direction in rad of the lane centre nearest to the cell centre.
+        cell_node: [C, 2] the lane node nearest to the cell centre, in m.
         cell_off_road: [C] bool, no lane reaches into the cell.
         grid: [blocks * BLOCK^2] cell of every grid square of the stored blocks, C-1 where there is no road.
             Squares are 4 m wide; within a block they are row-major. Each map's first block is empty.
@@ -60,6 +61,7 @@ class RoadMap:
     cell_view: Tensor
     cell_border: Tensor
     cell_yaw: Tensor
+    cell_node: Tensor
     cell_off_road: Tensor
     grid: Tensor
     grid_block: Tensor
@@ -142,6 +144,7 @@ def merge(maps: list[RoadMap]) -> RoadMap:
             _shift(m.cell_border[:-1], own["border"], first["border"], rows["border"])
         )
         tables["cell_yaw"].append(m.cell_yaw[:-1])
+        tables["cell_node"].append(m.cell_node[:-1])
         tables["cell_off_road"].append(m.cell_off_road[:-1])
         tables["grid"].append(_shift(m.grid, own["cell_yaw"], first["cell_yaw"], rows["cell_yaw"]))
         tables["grid_block"].append(m.grid_block + first["grid"])
@@ -156,6 +159,7 @@ def merge(maps: list[RoadMap]) -> RoadMap:
     tables["cell_view"].append(torch.full_like(last.cell_view[-1:], rows["view"]))
     tables["cell_border"].append(torch.full_like(last.cell_border[-1:], rows["border"]))
     tables["cell_yaw"].append(last.cell_yaw[-1:])
+    tables["cell_node"].append(last.cell_node[-1:])
     tables["cell_off_road"].append(last.cell_off_road[-1:])
     return RoadMap(**{name: torch.cat(parts) for name, parts in tables.items()})
 

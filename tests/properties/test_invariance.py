@@ -247,7 +247,6 @@ def test_everything_is_finite_where_divisions_could_fail(straight_map, speed: fl
                     assert values.isfinite().all(), name
 
 
-@pytest.mark.xfail(strict=True, reason="1 to 4 m beside the road E_i depends on how the grid of cells lies")
 @pytest.mark.parametrize("shift", [0.0, 1.3, 2.6])
 def test_a_vehicle_beside_the_road_counts_wherever_the_grid_lies(shift: float):
     """The car's side is 0.1 m to 6 m away from the border, which it has crossed before."""

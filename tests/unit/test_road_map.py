@@ -251,6 +251,7 @@ def seen(road: RoadMap, index: int, xy: torch.Tensor) -> dict[str, torch.Tensor]
     return {
         "yaw": road.cell_yaw[cell],
         "off_road": road.cell_off_road[cell],
+        "node": road.cell_node[cell],
         "points": torch.stack(road.seen_from(cell), -1),
         # maps differ in how many segments a row has room for
         "borders": torch.nn.functional.pad(border, (0, 0, 0, SEGMENTS_PER_CELL - border.shape[1]), value=FAR),
