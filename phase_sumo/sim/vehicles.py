@@ -123,10 +123,6 @@ class Task(TensorBatch):
     goal_speed: Tensor
     alpha: Tensor
 
-    @property
-    def goal_xy(self) -> Tensor:
-        return torch.stack((self.goal_x, self.goal_y), -1)
-
 
 def boxes(shape: VehicleShape, state: VehicleState) -> Tensor:
     """Oriented boxes of tractor and trailer.
