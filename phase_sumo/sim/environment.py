@@ -20,7 +20,9 @@ from phase_sumo.sim.scenario import Scenario
 from phase_sumo.sim.tuples import map_regime_tuples
 from phase_sumo.sim.worlds import Outcome, RollingGoals, Transition, Worlds, advance, look
 
-RESAMPLE_EVERY = 32  # steps between refills of the scenarios that finished worlds take over
+# Steps between refills of the scenarios that finished worlds take over. The rare world that is over twice in
+# between drives the same one again.
+RESAMPLE_EVERY = 32
 
 
 class Environment:
