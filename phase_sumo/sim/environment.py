@@ -23,6 +23,12 @@ from phase_sumo.sim.worlds import Outcome, RollingGoals, Transition, Worlds, adv
 # Steps between refills of the scenarios that finished worlds take over. The rare world that is over twice in
 # between drives the same one again.
 RESAMPLE_EVERY = 32
+# Static shapes. Values that read up to 16 tensors may be fused into their users; with the default of 4, much
+# of the observation goes through memory. Indices are right by construction and not checked one by one.
+COMPILATION: Any = {
+    "dynamic": False,
+    "options": {"realize_reads_threshold": 16, "assert_indirect_indexing": False},
+}
 
 
 class Environment:
@@ -80,10 +86,10 @@ class Environment:
         self.map_index = torch.tensor([m for m, _ in tuples], device=device)[self.tuple_index]
         self.regime_index = torch.tensor([r for _, r in tuples], device=device)[self.tuple_index]
         self._places = torch.Generator().manual_seed(seed)
-        seen = ((worlds, slots, sim.neighbours, 4), (worlds, slots, POINTS_PER_CELL, 2))
+        seen = ((worlds, slots, 4, sim.neighbours), (worlds, slots, 2, POINTS_PER_CELL))
         self._noise = NoiseTable(seen, self._places, device) if training else None
-        self._advance = torch.compile(advance, dynamic=False) if compiled else advance
-        self._look = torch.compile(look, dynamic=False) if compiled else look
+        self._advance = torch.compile(advance, **COMPILATION) if compiled else advance
+        self._look = torch.compile(look, **COMPILATION) if compiled else look
         self.reset()
 
     def reset(self) -> None:

@@ -93,24 +93,37 @@ def agent_contacts(box: Tensor, active: Tensor, trailers: int) -> tuple[Tensor, 
     Returns:
         collision and at_fault, both [W, N] bool.
     """
+    # a box that is nowhere overlaps nothing
+    box = torch.cat((torch.where(active, box[:1], torch.nan), box[1:]))
     tractor, trailer = box[:, 0], box[:, 1, :, :trailers]
-    slot = torch.arange(active.shape[1], device=active.device)
-    pair = active.unsqueeze(2) & active.unsqueeze(1) & (slot != slot.unsqueeze(-1))
-    # of the pairs with a trailer, tractor against trailer is looked at once and holds for both
-    between = _overlap(trailer, tractor)  # [W, N, T]: trailer of the last axis, tractor of the other
-    behind = torch.nn.functional.pad(between, (0, active.shape[1] - trailers))
-    both = torch.nn.functional.pad(
-        _overlap(trailer, trailer), (0, active.shape[1] - trailers, 0, active.shape[1] - trailers)
-    )
-    touching = (_overlap(tractor, tractor) | behind | behind.transpose(1, 2) | both) & pair
-    fault = at_fault(tractor.unsqueeze(2), tractor.unsqueeze(3))
-    worst = torch.where(touching, torch.where(fault, 2.0, 1.0), 0.0).amax(1)
+    worst = _worst(tractor, tractor, tractor, tractor)
+    if trailers:
+        towing = tractor[..., :trailers]
+        worst = torch.maximum(worst, _worst(tractor, tractor, trailer, towing))
+        behind = torch.maximum(
+            _worst(trailer, towing, tractor, tractor), _worst(trailer, towing, trailer, towing)
+        )
+        worst = torch.maximum(worst, torch.nn.functional.pad(behind, (0, active.shape[1] - trailers)))
     return worst > 0.0, worst > 1.0
 
 
-def _overlap(a: Tensor, b: Tensor) -> Tensor:
-    """[W, M, N] bool: box m of ``b`` [6, W, M] overlaps box n of ``a`` [6, W, N]."""
-    return boxes_overlap(a.unsqueeze(2), b.unsqueeze(3))
+def _worst(mine: Tensor, my_tractor: Tensor, other: Tensor, other_tractor: Tensor) -> Tensor:
+    """2 where one of ``mine`` overlaps one of the others at my fault, 1 where at the other's alone, else 0.
+
+    All pairs are looked at and none is stored: compiled, this is one loop within registers.
+
+    Args:
+        mine, my_tractor: boxes [6, W, N] and those of their tractors.
+        other, other_tractor: the same [6, W, M]; equal slots are the same vehicle.
+
+    Returns:
+        [W, N].
+    """
+    slot = torch.arange(max(mine.shape[2], other.shape[2]), dtype=torch.float32, device=mine.device)
+    another = slot[: other.shape[2], None, None] != slot[: mine.shape[2]]
+    other, other_tractor = (box.transpose(1, 2).unsqueeze(-1) for box in (other, other_tractor))
+    fault = torch.where(at_fault(my_tractor, other_tractor), 2.0, 1.0)
+    return torch.where(boxes_overlap(other, mine) & another, fault, 0.0).amax(0)
 
 
 def at_fault(mine: Tensor, other: Tensor) -> Tensor:
@@ -139,13 +152,14 @@ def road_contacts(box: Tensor, road_map: RoadMap, map_index: Tensor, trailers: i
         road_edge (or beside the road) and lane_boundary, both [W, N] bool.
     """
     tractor, trailer = box[:, 0], box[:, 1, :, :trailers]
-    cell = road_map.cell(map_index, tractor[0], tractor[1])
-    edge, boundary = _border_contacts(tractor, road_map, cell)
+    cells = torch.cat([road_map.cell(map_index, part[0], part[1]) for part in (tractor, trailer)], -1)
+    own, behind = cells[:, : box.shape[3]], cells[:, box.shape[3] :]
+    edge, boundary = _border_contacts(tractor, road_map, own)
     # a trailer without extent lies on its tractor's reference point and adds no contact of its own
-    behind = _border_contacts(trailer, road_map, road_map.cell(map_index, trailer[0], trailer[1]))
+    trailer_edge, trailer_boundary = _border_contacts(trailer, road_map, behind)
     others = (0, box.shape[3] - trailers)
-    edge = edge | torch.nn.functional.pad(behind[0], others) | beside_road(tractor[:2], road_map, cell)
-    return edge, boundary | torch.nn.functional.pad(behind[1], others)
+    edge = edge | torch.nn.functional.pad(trailer_edge, others) | beside_road(tractor[:2], road_map, own)
+    return edge, boundary | torch.nn.functional.pad(trailer_boundary, others)
 
 
 def beside_road(xy: Tensor, road_map: RoadMap, cell: Tensor) -> Tensor:

@@ -30,12 +30,18 @@ def boxes_overlap(a: Iterable[Tensor], b: Iterable[Tensor]) -> Tensor:
     dx, dy = bx - ax, by - ay
     cos = (acos * bcos + asin * bsin).abs()
     sin = (acos * bsin - asin * bcos).abs()
-    return (
-        ((dx * acos + dy * asin).abs() <= alen + blen * cos + bwid * sin)
-        & ((dy * acos - dx * asin).abs() <= awid + blen * sin + bwid * cos)
-        & ((dx * bcos + dy * bsin).abs() <= blen + alen * cos + awid * sin)
-        & ((dy * bcos - dx * bsin).abs() <= bwid + alen * sin + awid * cos)
+    # how far the boxes reach into each other along each axis; minima and one comparison are cheaper than four
+    depth = torch.minimum(
+        torch.minimum(
+            alen + blen * cos + bwid * sin - (dx * acos + dy * asin).abs(),
+            awid + blen * sin + bwid * cos - (dy * acos - dx * asin).abs(),
+        ),
+        torch.minimum(
+            blen + alen * cos + awid * sin - (dx * bcos + dy * bsin).abs(),
+            bwid + alen * sin + awid * cos - (dy * bcos - dx * bsin).abs(),
+        ),
     )
+    return depth >= 0.0
 
 
 def box_touches_segment(box: Tensor, segment: Sequence[Tensor]) -> Tensor:
@@ -54,13 +60,13 @@ def box_touches_segment(box: Tensor, segment: Sequence[Tensor]) -> Tensor:
     au, av = ax * cos + ay * sin, ay * cos - ax * sin
     bu, bv = bx * cos + by * sin, by * cos - bx * sin
     du, dv = bu - au, bv - av
-    return (
-        (torch.minimum(au, bu) <= half_length)
-        & (torch.maximum(au, bu) >= -half_length)
-        & (torch.minimum(av, bv) <= half_width)
-        & (torch.maximum(av, bv) >= -half_width)
-        & ((au * dv - av * du).abs() <= half_length * dv.abs() + half_width * du.abs())
+    # how far box and segment reach into each other along the box's axes and across the segment
+    depth = torch.minimum(
+        torch.minimum(half_length - torch.minimum(au, bu), half_length + torch.maximum(au, bu)),
+        torch.minimum(half_width - torch.minimum(av, bv), half_width + torch.maximum(av, bv)),
     )
+    across = half_length * dv.abs() + half_width * du.abs() - (au * dv - av * du).abs()
+    return torch.minimum(depth, across) >= 0.0
 
 
 def segment_distance(
@@ -71,6 +77,20 @@ def segment_distance(
     ux, uy, dx, dy = bx - ax, by - ay, px - ax, py - ay
     share = ((dx * ux + dy * uy) / (ux * ux + uy * uy).clamp_min(1e-12)).clamp(0.0, 1.0)
     return torch.hypot(dx - share * ux, dy - share * uy)
+
+
+def materialise(*values: Tensor) -> tuple[Tensor, ...]:
+    """The same values, worked out once and kept in memory (all of one shape and type).
+
+    A compiler fuses what it can into every loop that reads it; of a value per agent that a loop over its
+    neighbours reads, that is many times the work. What was stacked is not fused.
+    """
+    return torch.stack(values).unbind(0)
+
+
+def stored(mask: Tensor) -> Tensor:
+    """The same bool tensor; compiled, it is written as bytes, sixteen at a time instead of one by one."""
+    return torch.where(mask, 1.0, 0.0).to(torch.uint8).view(torch.bool)
 
 
 def wrap_angle(angle: Tensor) -> Tensor:

@@ -15,6 +15,7 @@ from phase_sumo.config import SimConfig
 
 GROUP = 16  # candidates that one network sorts
 FAR = 2**31 - 1
+APART = 1.0e9  # m
 # Green's sorting network for 16 inputs: 60 comparators in 10 layers (Knuth, TAOCP vol. 3, 5.3.4)
 SORT = (
     *((i, i + 1) for i in range(0, 16, 2)),
@@ -43,45 +44,45 @@ def nearest(x: Tensor, y: Tensor, active: Tensor, config: SimConfig) -> tuple[Te
         active: [W, N] bool.
 
     Returns:
-        index [W, N, K] int64 and mask [W, N, K] bool (False beyond the range or where there is none).
+        index [W, N, K] int32 and mask [W, N, K] bool: False beyond the range, where there is none (the index
+        then means nothing) and for agents that are not active.
     """
-    worlds, slots = active.shape
+    slots = active.shape[1]
     bits = max((slots - 1).bit_length(), 1)
     beyond = 2 ** (31 - bits) - 129  # first distance that counts as out of range, exact in float32
-    key = _keys(x, y, active, config.neighbour_range, bits, beyond).reshape(slots, worlds * slots)
+    key = _keys(x, y, active, config.neighbour_range, bits, beyond)
     count = min(config.neighbours, slots)
     if torch.compiler.is_compiling() and config.neighbours <= GROUP:
         smallest = _smallest(key)[:count]
     else:
         smallest = key.topk(count, dim=0, largest=False).values
-    smallest = torch.nn.functional.pad(smallest, (0, 0, 0, config.neighbours - count), value=FAR)
-    smallest = smallest.view(config.neighbours, worlds, slots).permute(1, 2, 0)
-    mask = ((smallest >> bits) < beyond) & active.unsqueeze(-1)
-    return torch.where(mask, smallest & (2**bits - 1), 0).long(), mask
+    smallest = torch.nn.functional.pad(smallest, (0, 0, 0, 0, 0, config.neighbours - count), value=FAR)
+    smallest = smallest.permute(1, 2, 0)
+    return (smallest & (2**bits - 1)).clamp_max(slots - 1), (smallest >> bits) < beyond
 
 
 def gather(values: Tensor, index: Tensor) -> Tensor:
     """values[w, index[w, n, k]] for values [W, N] and index [W, N, K]."""
-    worlds, slots, count = index.shape
-    return values.gather(1, index.reshape(worlds, slots * count)).view(worlds, slots, count)
+    return values[torch.arange(len(values), device=values.device)[:, None, None], index]
 
 
 def _keys(x: Tensor, y: Tensor, active: Tensor, reach: float, bits: int, beyond: int) -> Tensor:
     """[N, W, N] int32: squared distance from candidate j (first axis) in the high bits, j in the low ones."""
-    squared = (x.t().unsqueeze(-1) - x).square() + (y.t().unsqueeze(-1) - y).square()
     slot = torch.arange(x.shape[1], dtype=torch.int32, device=x.device)
-    other = active.t().unsqueeze(-1) & (slot[:, None, None] != slot)
-    level = torch.where(other, squared * (beyond / reach**2), beyond).clamp_max(beyond)
-    return (level.to(torch.int32) << bits) | slot[:, None, None]
+    # far away, each in a place of its own: cheaper than to ask of every pair whether both are active
+    x = torch.where(active, x, APART * (1.0 + slot))
+    squared = (x.t().unsqueeze(-1) - x).square() + (y.t().unsqueeze(-1) - y).square()
+    level = torch.where(slot[:, None, None] != slot, squared * (beyond / reach**2), beyond)
+    return (level.clamp_max(beyond).to(torch.int32) << bits) | slot[:, None, None]
 
 
 def _smallest(key: Tensor) -> Tensor:
-    """[16, P] the smallest keys of each column of [N, P], in rising order."""
+    """[16, W, N] the smallest keys of each column of [M, W, N], in rising order."""
     groups = 1
     while groups * GROUP < key.shape[0]:
         groups *= 2
-    key = torch.nn.functional.pad(key, (0, 0, 0, groups * GROUP - key.shape[0]), value=FAR)
-    rows = _compare(list(key.view(GROUP, groups, -1).unbind(0)), SORT)
+    key = torch.nn.functional.pad(key, (0, 0, 0, 0, 0, groups * GROUP - key.shape[0]), value=FAR)
+    rows = _compare(list(key.view(GROUP, groups, *key.shape[1:]).unbind(0)), SORT)
     while groups > 1:
         groups //= 2
         # of two rising lists, the smaller of first and last, second and last but one ... are the 16 smallest

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from phase_sumo.config import SimConfig
-from phase_sumo.sim.geometry import wrap_angle
+from phase_sumo.sim.geometry import materialise, stored, wrap_angle
 from phase_sumo.sim.road_map import RoadKind, RoadMap
 from phase_sumo.sim.vehicles import Task, TensorBatch, VehicleShape, VehicleState
 
@@ -79,6 +79,7 @@ ROAD = (
     *(Feature(kind.name.lower(), "1", 1.0) for kind in RoadKind),
 )
 KINDS = tuple(int(kind) for kind in RoadKind)
+Heading = tuple[Tensor, ...]  # cos and sin of the observers' yaw, each [...]
 LAYOUT = {"ego": EGO, "context": CONTEXT, "partner": PARTNER, "road": ROAD}
 
 
@@ -159,24 +160,35 @@ def observe(
         others: [..., K] how the neighbours look.
         mask: [..., K] bool, those that are real.
         cell: [...] of the road map that each agent is in.
-        noise: standard normal numbers for partners [..., K, 4] and road points [..., R, 2], scaled here to
+        noise: standard normal numbers for partners [..., 4, K] and road points [..., 2, R], scaled here to
             the Gaussian noise on both; None for none.
     """
-    road, road_mask = _road(state, road_map, cell, config, None if noise is None else noise[1])
+    partner_noise, road_noise = (None, None) if noise is None else noise
+    heading = materialise(torch.cos(state.yaw), torch.sin(state.yaw))
+    cell, view = materialise(cell, road_map.cell_view[cell])
+    road, road_mask = _road(state, heading, road_map.seen_in(view), config, road_noise)
     return Observation(
-        ego=_ego(shape, state, task, road_map.cell_yaw[cell]),
+        ego=_ego(shape, state, heading, task, road_map.cell_yaw[cell]),
         context=_context(shape, task),
-        partner=_partner(state, others, mask, config, None if noise is None else noise[0]),
-        partner_mask=mask,
+        partner=_partner(state, heading, others, mask, config, partner_noise),
+        partner_mask=stored(mask),
         road=road,
         road_mask=road_mask,
     )
 
 
-def _stack(features: tuple[Feature, ...], values: list[Tensor], mask: Tensor | None = None) -> Tensor:
-    """Scaled features as the last axis, zero where not ``mask``."""
-    scaled = [v * (1.0 / f.scale) for v, f in zip(values, features, strict=True)]
-    return torch.stack(scaled if mask is None else [torch.where(mask, v, 0.0) for v in scaled], -1)
+def _stack(features: tuple[Feature, ...], values: list[Tensor]) -> Tensor:
+    """Scaled features [...] as the last axis."""
+    return torch.stack([v * (1.0 / f.scale) for v, f in zip(values, features, strict=True)], -1)
+
+
+def _stack_set(features: tuple[Feature, ...], values: list[Tensor], mask: Tensor) -> Tensor:
+    """Scaled features [..., K] of a set as the last axis, zero where not ``mask``.
+
+    In memory every feature's K values lie side by side, so that vector units write them at once.
+    """
+    scaled = [torch.where(mask, v * (1.0 / f.scale), 0.0) for v, f in zip(values, features, strict=True)]
+    return torch.stack(scaled, -2).transpose(-1, -2)
 
 
 def _near(y: Tensor) -> Tensor:
@@ -184,8 +196,8 @@ def _near(y: Tensor) -> Tensor:
     return y.clamp(-4.0, 4.0)
 
 
-def _ego(shape: VehicleShape, state: VehicleState, task: Task, lane_yaw: Tensor) -> Tensor:
-    cos, sin = torch.cos(state.yaw), torch.sin(state.yaw)
+def _ego(shape: VehicleShape, state: VehicleState, heading: Heading, task: Task, lane_yaw: Tensor) -> Tensor:
+    cos, sin = heading
     dx, dy = task.goal_x - state.x, task.goal_y - state.y
     goal_y = dy * cos - dx * sin
     goal_yaw = task.goal_yaw - state.yaw
@@ -227,15 +239,20 @@ def _context(shape: VehicleShape, task: Task) -> Tensor:
     return _stack(CONTEXT, values)
 
 
-def _noisy(value: Tensor, sigma: float, noise: Tensor | None, column: int) -> Tensor:
-    return value if noise is None else value + sigma * noise[..., column]
+def _noisy(value: Tensor, sigma: float, noise: Tensor | None, row: int) -> Tensor:
+    return value if noise is None else value + sigma * noise[..., row, :]
 
 
 def _partner(
-    own: VehicleState, other: Appearance, mask: Tensor, config: SimConfig, noise: Tensor | None
+    own: VehicleState,
+    heading: Heading,
+    other: Appearance,
+    mask: Tensor,
+    config: SimConfig,
+    noise: Tensor | None,
 ) -> Tensor:
     """Features [..., K, len(PARTNER)] of the neighbours ``other`` [..., K] seen by ``own`` [...]."""
-    cos, sin = torch.cos(own.yaw).unsqueeze(-1), torch.sin(own.yaw).unsqueeze(-1)
+    cos, sin = (v.unsqueeze(-1) for v in heading)
     dx = _noisy(other.x - own.x.unsqueeze(-1), config.position_noise, noise, 0)
     dy = _noisy(other.y - own.y.unsqueeze(-1), config.position_noise, noise, 1)
     yaw = _noisy(other.yaw - own.yaw.unsqueeze(-1), config.yaw_noise, noise, 2)
@@ -255,18 +272,18 @@ def _partner(
         other.trailer_width,
         other.hitch,
     ]
-    return _stack(PARTNER, values, mask)
+    return _stack_set(PARTNER, values, mask)
 
 
 def _road(
     state: VehicleState,
-    road_map: RoadMap,
-    cell: Tensor,
+    heading: Heading,
+    points: tuple[Tensor, ...],
     config: SimConfig,
     noise: Tensor | None,
 ) -> tuple[Tensor, Tensor]:
-    point_x, point_y, tangent_x, tangent_y, kind = road_map.seen_from(cell)
-    cos, sin = torch.cos(state.yaw).unsqueeze(-1), torch.sin(state.yaw).unsqueeze(-1)
+    point_x, point_y, tangent_x, tangent_y, kind = points
+    cos, sin = (v.unsqueeze(-1) for v in heading)
     dx = _noisy(point_x - state.x.unsqueeze(-1), config.position_noise, noise, 0)
     dy = _noisy(point_y - state.y.unsqueeze(-1), config.position_noise, noise, 1)
     y = dy * cos - dx * sin
@@ -278,4 +295,4 @@ def _road(
         tangent_y * cos - tangent_x * sin,
         *((kind == k).float() for k in KINDS),
     ]
-    return _stack(ROAD, values, kind >= 0), kind >= 0
+    return _stack_set(ROAD, values, kind >= 0), stored(kind >= 0)

@@ -92,15 +92,13 @@ class RoadMap:
         first = self.grid_block[torch.where(inside, block, -1)]
         return self.grid[first + (column & (BLOCK - 1)) * BLOCK + (row & (BLOCK - 1))]
 
-    def seen_from(self, cell: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """x, y, cos, sin and kind [..., R] of the road points seen from cells [...]."""
-        x, y, cos, sin, kind = self.view[self.cell_view[cell]].unbind(-2)
-        return x, y, cos, sin, kind
+    def seen_in(self, view: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """x, y, cos, sin and kind [..., R] of the road points in rows [...] of ``view``."""
+        return _columns(self.view, view)
 
     def borders_at(self, cell: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """ax, ay, bx, by and kind [..., G] of the border segments in reach of cells [...]."""
-        ax, ay, bx, by, kind = self.border[self.cell_border[cell]].unbind(-2)
-        return ax, ay, bx, by, kind
+        return _columns(self.border, self.cell_border[cell])
 
     def segments(self) -> tuple[Tensor, Tensor]:
         """All border segments [S, 4] in m, and their kinds [S]."""
@@ -124,6 +122,11 @@ class RoadMap:
         """Back from `arrays`; torch gathers by 64-bit indices."""
         tensors = {f.name: torch.from_numpy(np.array(arrays[f.name])) for f in fields(RoadMap)}
         return RoadMap(**{k: v.long() if v.dtype == torch.int32 else v for k, v in tensors.items()})
+
+
+def _columns(table: Tensor, row: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """The five columns [..., P] of rows [...] of a table [., 5, P], read where they are used."""
+    return table[row, 0], table[row, 1], table[row, 2], table[row, 3], table[row, 4]
 
 
 def merge(maps: list[RoadMap]) -> RoadMap:

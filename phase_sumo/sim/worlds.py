@@ -10,8 +10,9 @@ from torch import Tensor
 from phase_sumo.config import ActionConfig, RewardConfig, SimConfig
 from phase_sumo.sim import kinematics
 from phase_sumo.sim.events import detect
+from phase_sumo.sim.geometry import materialise
 from phase_sumo.sim.neighbours import gather, nearest
-from phase_sumo.sim.observation import Observation, appearance, observe
+from phase_sumo.sim.observation import Appearance, Observation, appearance, observe
 from phase_sumo.sim.reward import Multipliers, rewards
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.rolling import NextGoals
@@ -170,6 +171,7 @@ def look(
     """What every agent sees [W, N, ...]; rows of inactive slots mean nothing."""
     state = worlds.state
     index, mask = nearest(state.x, state.y, worlds.active, sim)
-    others = appearance(worlds.shape, state).map(lambda values: gather(values, index))
+    table = materialise(*vars(appearance(worlds.shape, state)).values())
+    others = Appearance(*(gather(values, index) for values in table))
     cell = road_map.cell(map_index, state.x, state.y)
     return observe(worlds.shape, state, worlds.task, others, mask, road_map, cell, sim, noise)

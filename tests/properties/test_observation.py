@@ -135,7 +135,7 @@ def test_noise_perturbs_partners_and_road_and_spares_the_ego(straight_map):
     shape, state, task = scene()
     clean = look(straight_map, shape, state, task)
     generator = torch.Generator().manual_seed(1)
-    noise = (torch.randn(1, 12, 16, 4, generator=generator), torch.randn(1, 12, 32, 2, generator=generator))
+    noise = (torch.randn(1, 12, 4, 16, generator=generator), torch.randn(1, 12, 2, 32, generator=generator))
     first = look(straight_map, shape, state, task, noise=noise)
     torch.testing.assert_close(first.ego, clean.ego)
     spread = (first.road[..., 0] - clean.road[..., 0])[clean.road_mask] * 50.0

@@ -218,7 +218,7 @@ def test_what_is_seen_from_a_cell_lies_ahead(ramp):
     _, graph, road = ramp
     node = int(np.argmin(np.hypot(*(graph.node_xy - np.array([150.0, 0.0])).T)))
     cell = int(road.cell(FIRST, *torch.from_numpy(graph.node_xy[node])[None, None].unbind(-1))[0, 0])
-    x, y, _, _, kind = road.seen_from(torch.tensor(cell))
+    x, y, _, _, kind = road.seen_in(road.cell_view[torch.tensor(cell)])
     xy, kind = torch.stack((x, y), -1)[kind != ABSENT], kind[kind != ABSENT]
     assert len({tuple(point) for point in xy.tolist()}) == len(xy) >= 28
     assert xy[:, 0].min() > 140
@@ -252,7 +252,7 @@ def seen(road: RoadMap, index: int, xy: torch.Tensor) -> dict[str, torch.Tensor]
         "yaw": road.cell_yaw[cell],
         "off_road": road.cell_off_road[cell],
         "node": road.cell_node[cell],
-        "points": torch.stack(road.seen_from(cell), -1),
+        "points": torch.stack(road.seen_in(road.cell_view[cell]), -1),
         # maps differ in how many segments a row has room for
         "borders": torch.nn.functional.pad(border, (0, 0, 0, SEGMENTS_PER_CELL - border.shape[1]), value=FAR),
     }
