@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import platform
 import tempfile
 import time
@@ -18,10 +17,13 @@ from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import Environment, tensors
 from phase_sumo.sim.lanes import LaneNetwork
+from phase_sumo.sim.synthetic_road import freeway
 
 Progress = Callable[[float, str], None]
 Result = TypeVar("Result")
 WARM_UP = 10  # steps
+SIZES = ((16, 64), (16, 256))  # worlds x slots
+ROOM = 40.0  # m of lane per vehicle: random starts find a place for nearly all
 FREEWAYS = (6, 24, 99, 399)  # km of lane: whole sections of a two-way freeway of six lanes
 
 
@@ -44,35 +46,35 @@ def machine() -> dict[str, Any]:
 
 def bench_sim(
     maps: list[MapBundle], worlds: int, slots: int, steps: int, seed: int, progress: Progress
-) -> dict:
+) -> dict[str, Any]:
     """Compiled environment steps alone: kinematics, events, reward, resets, observation with noise.
 
-    Full worlds: jammed traffic with rolling goals on the largest quarter of the maps. The shipped policy
-    drives; its own time is not counted. With it go the bytes that a step must at least move, and which share
-    of the speed of a plain copy that is.
+    Full worlds: jammed traffic with rolling goals on those of the ``maps`` that have `ROOM` for all agents,
+    or else on a synthetic freeway that has. The shipped policy drives; its own time is not counted. With it
+    go the CPU time of each part, the bytes that a step must at least move, and which share of the speed of a
+    plain copy that is.
     """
     policy = load_policy()
     config = TrainConfig()
-    regime = REGIMES[0]
-    full = replace(regime, agents=(slots, slots), agents_late=(slots, slots))
-    scenarios = replace(config.scenarios, regimes=(full,), agent_scale=1.0)
-    largest = sorted(maps, key=lambda m: -len(m.graph.node_lane))[: math.ceil(len(maps) / 4)]
-    maps = [replace(m, pools=m.pools[:1]) for m in largest]
+    full = replace(REGIMES[0], agents=(slots, slots), agents_late=(slots, slots))
     env = Environment(
-        maps,
+        [replace(m, pools=m.pools[:1]) for m in _roomy(maps, slots)],
         worlds,
         slots,
         policy.sim,
-        scenarios,
+        replace(config.scenarios, regimes=(full,), agent_scale=1.0),
         config.reward,
         policy.actions,
         seed=seed,
         compiled=True,
         rolling=True,
     )
+    parts = _timed_parts(env)
     generator = torch.Generator().manual_seed(seed)
     spent, agent_steps = 0.0, 0
     for t in range(WARM_UP + steps):
+        if t == WARM_UP:
+            parts.update(dict.fromkeys(parts, 0.0))
         active = env.worlds.active
         action = torch.zeros(active.shape, dtype=torch.long)
         action[active] = policy.act(env.observation.rows(active), generator)
@@ -88,9 +90,36 @@ def bench_sim(
         "worlds": worlds,
         "slots": slots,
         "active_share": agent_steps / (steps * worlds * slots),
+        **{f"{part}_cpu_us": 1e6 * seconds / agent_steps for part, seconds in parts.items()},
         "bytes_per_agent_step": bytes_moved,
         "share_of_memory_bandwidth": bytes_moved * agent_steps / spent / _copy_speed(),
     }
+
+
+def _roomy(maps: list[MapBundle], slots: int) -> list[MapBundle]:
+    """The maps with room for ``slots`` jammed vehicles, or a freeway made for them."""
+    from phase_sumo.bridge.convert import build_bundle
+
+    fitting = [m for m in maps if len(m.graph.node_lane) >= ROOM * slots]  # a node every metre
+    return fitting or [build_bundle(freeway(ROOM * slots / 1000.0))]
+
+
+def _timed_parts(env: Environment) -> dict[str, float]:
+    """CPU seconds of the parts of all steps of ``env`` from now on; they grow as it steps."""
+    spent = dict.fromkeys(("advance", "look", "resample"), 0.0)
+
+    def timed(part: str, work: Callable[..., Result]) -> Callable[..., Result]:
+        def run(*args: Any) -> Result:
+            began = time.process_time()
+            result = work(*args)
+            spent[part] += time.process_time() - began
+            return result
+
+        return run
+
+    for part in spent:
+        setattr(env, f"_{part}", timed(part, getattr(env, f"_{part}")))
+    return spent
 
 
 def _step_bytes(env: Environment) -> float:
@@ -149,7 +178,6 @@ def bench_convert(networks: list[Path], progress: Progress) -> dict[str, Any]:
         pools alone, and the same for synthetic freeways of growing length.
     """
     from phase_sumo.bridge.network import read_network
-    from phase_sumo.sim.synthetic_road import freeway
 
     jobs = [(path.name, lambda path=path: read_network(path)) for path in networks]
     jobs += [(f"{km:g} km of lane", lambda km=km: freeway(km)) for km in FREEWAYS]

@@ -179,7 +179,9 @@ def bench(args: argparse.Namespace) -> Any:
         with progress_bar(f"bench {part}") as progress:
             if part == "sim":
                 maps = load_maps(networks, None)
-                rows = [measure.bench_sim(maps, 16, n, args.steps, args.seed, progress) for n in (64, 256)]
+                rows = [
+                    measure.bench_sim(maps, *size, args.steps, args.seed, progress) for size in measure.SIZES
+                ]
             elif part == "train":
                 rows = [measure.bench_train(load_maps(networks, None), TrainConfig(), 5, progress)]
             elif part == "convert":

@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import torch
 from torch import Tensor
 
 from phase_sumo.config import ActionConfig, SimConfig
 from phase_sumo.sim.vehicles import VehicleShape, VehicleState
-
-
-@lru_cache(maxsize=16)
-def _lattice(actions: ActionConfig, device: torch.device) -> tuple[Tensor, Tensor]:
-    return (
-        torch.tensor(actions.jerk, device=device),
-        torch.tensor(actions.steering_rate, device=device),
-    )
 
 
 def command(action: Tensor, alpha: Tensor, actions: ActionConfig) -> tuple[Tensor, Tensor]:
@@ -33,7 +24,7 @@ def command(action: Tensor, alpha: Tensor, actions: ActionConfig) -> tuple[Tenso
     Returns:
         jerk in m/s^3 and steering rate in rad/s, both [W, N].
     """
-    jerks, rates = _lattice(actions, action.device)
+    jerks, rates = (torch.tensor(v, device=action.device) for v in (actions.jerk, actions.steering_rate))
     columns = rates.shape[0]
     return alpha * jerks[torch.div(action, columns, rounding_mode="floor")], rates[action % columns]
 

@@ -241,27 +241,28 @@ def _conflicts(
     box = boxes(shape, trial)
     gap = config.spawn_gap + config.spawn_time_headway * trial.speed
     reach = shape.reach + gap + _closing(trial.speed, braking)
-    distance = torch.hypot(*(c.unsqueeze(1) - c.unsqueeze(2) for c in (trial.x, trial.y)))
-    present = active | wanted
-    close = (
-        (distance < reach.unsqueeze(2) + shape.reach.unsqueeze(1))
-        & present.unsqueeze(2)
-        & present.unsqueeze(1)
-    )
-    world, mine, other = close.nonzero(as_tuple=True)
-    faster = (trial.speed[world, mine] - trial.speed[world, other]).clamp_min(0.0)
+    pending = wanted & ~active
+    world, slot = pending.nonzero(as_tuple=True)
+    earlier = torch.arange(active.shape[1], device=active.device) < slot.unsqueeze(-1)
+    against = active[world] | (pending[world] & earlier)  # [P, N] whom each of the P proposals must avoid
+    distance = torch.hypot(*(c[world] - c[world, slot].unsqueeze(-1) for c in (trial.x, trial.y)))
+    claims = against & (distance < reach[world, slot].unsqueeze(-1) + shape.reach[world])
+    claimed = against & (distance < reach[world] + shape.reach[world, slot].unsqueeze(-1))
+    (p, other), (q, claimant) = claims.nonzero(as_tuple=True), claimed.nonzero(as_tuple=True)
+    # both directions in one list of pairs: who claims the road, and who might be on it
+    loser = torch.cat((p, q))
+    mine, theirs = torch.cat((slot[p], claimant)), torch.cat((other, slot[q]))
+    world = world[loser]
+    faster = (trial.speed[world, mine] - trial.speed[world, theirs]).clamp_min(0.0)
     ahead = 0.5 * (gap[world, mine] + _closing(faster, braking[world, mine]))
     x, y, cos, sin, half_length, half_width = box[:, :, world, mine].unsqueeze(2)
     claim = (x + ahead * cos, y + ahead * sin, cos, sin, half_length + ahead, half_width)
-    hit = boxes_overlap(claim, box[:, :, world, other].unsqueeze(1)).flatten(0, 1).any(0)
-    touch = torch.zeros_like(close)
-    touch[world[hit], mine[hit], other[hit]] = True
-    touch = touch | touch.transpose(1, 2)
-    slots = active.shape[1]
-    earlier = torch.ones(slots, slots, dtype=torch.bool, device=active.device).tril(-1)
-    against = active.unsqueeze(1) | (earlier & wanted.unsqueeze(1))
-    against = against & ~torch.eye(slots, dtype=torch.bool, device=active.device)
-    return (touch & against).any(-1)
+    hit = boxes_overlap(claim, box[:, :, world, theirs].unsqueeze(1)).flatten(0, 1).any(0)
+    loses = torch.zeros(len(slot), dtype=torch.bool, device=active.device)
+    loses[loser[hit]] = True
+    conflict = torch.zeros_like(active)
+    conflict[pending] = loses
+    return conflict
 
 
 def _closing(faster: Tensor, jerk: Tensor) -> Tensor:
