@@ -58,7 +58,7 @@ def train(args: argparse.Namespace) -> Any:
     print(f"{trainer.steps} agent steps, policy in {folder.policy}")
     if stop:
         raise KeyboardInterrupt
-    return {**trainer.rows[-1], "agent_steps": trainer.steps, "policy": str(folder.policy)}
+    return {**trainer.curve.last, "agent_steps": trainer.steps, "policy": str(folder.policy)}
 
 
 def _rates(row: dict[str, float]) -> str:
