@@ -19,7 +19,7 @@ from phase_sumo.cli.train_progress import (
 
 REDRAWS = 2  # per second
 BLOCKS = " ▁▂▃▄▅▆▇█"
-COURSE = 24  # characters at most
+COURSE = 20  # characters at most
 
 
 def train_view(
@@ -74,11 +74,18 @@ class Course:
 class Screen:
     """All that is drawn."""
 
-    def __init__(self, title: str, steps: int, total: int, stopping: Callable[[], bool]) -> None:
-        self._title, self._stopping = title, stopping
-        self._progress = Progress(steps, total)
+    def __init__(
+        self,
+        title: str,
+        steps: int,
+        total: int,
+        stopping: Callable[[], bool],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._title, self._stopping, self._clock = title, stopping, clock
+        self._progress = Progress(steps, total, clock)
         self._courses = {label: Course() for label in RATES}
-        self._began = time.monotonic()
+        self._began = clock()
 
     def add(self, row: Row) -> None:
         for label, name in RATES.items():
@@ -110,7 +117,7 @@ class Screen:
             ProgressBar(total=1.0, completed=progress.share),
             f"{100 * progress.share:.0f}%",
             f"{millions(progress.steps)} of {millions(progress.total)}",
-            duration(time.monotonic() - self._began),
+            duration(self._clock() - self._began),
             f"[cyan]{progress.left} left",
         )
         return row

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from pathlib import Path
 
 from phase_sumo.train import disk
@@ -43,8 +42,7 @@ class Curve:
     def sync(self) -> None:
         """Wait until all rows are on the disk: a checkpoint must not outlive the curve that leads to it."""
         if self._path.exists():
-            with self._path.open("rb") as file:
-                os.fsync(file.fileno())
+            disk.sync(self._path)
 
     def _read(self) -> list[Cells]:
         if not self._path.exists():

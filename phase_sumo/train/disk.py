@@ -44,6 +44,16 @@ def append(path: Path, data: bytes) -> None:
     guard(path, len(data), add)
 
 
+def sync(path: Path) -> None:
+    """Wait until what was appended to ``path`` is on the disk."""
+
+    def flush() -> None:
+        with path.open("rb") as file:
+            os.fsync(file.fileno())
+
+    guard(path, path.stat().st_size, flush)
+
+
 def guard(path: Path, needed: int, work: Callable[[], None]) -> None:
     """Do ``work`` that puts ``needed`` bytes into ``path``; what the system refuses becomes one message."""
     try:

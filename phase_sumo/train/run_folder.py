@@ -69,7 +69,7 @@ class RunFolder:
             raise PhaseError(f"{file}: no checkpoint to resume from; name another folder with --run")
         try:
             return torch.load(file, weights_only=True)
-        except (RuntimeError, EOFError, pickle.UnpicklingError) as error:
+        except (RuntimeError, OSError, EOFError, pickle.UnpicklingError) as error:
             reason = str(error).splitlines()[0]
             raise PhaseError(
                 f"{file}: no readable checkpoint ({reason}); train anew in another folder, with --start-from "
