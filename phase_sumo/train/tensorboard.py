@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import shutil
+import time
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -51,6 +52,9 @@ class TensorBoardLog:
             disk.guard(self._folder, needed, lambda: self._put(row, needed))
 
     def _open(self, make: Any) -> None:
+        # TensorBoard reads the files by name, and those of one second in no order: points would be lost
+        while any(self._folder.glob(f"*.tfevents.{int(time.time())}.*")):
+            time.sleep(0.05)
         self._writer = make(str(self._folder), purge_step=self._steps + 1)
 
     def _put(self, row: dict[str, float], needed: int) -> None:
