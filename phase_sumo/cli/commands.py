@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import signal
+import sys
 from pathlib import Path
 from typing import Any
 
 from phase_sumo.cli.files import DEMO, HELD_OUT, find_files, load_maps, progress_bar
+from phase_sumo.cli.stop import stop_signals
+from phase_sumo.cli.train_view import train_view
 from phase_sumo.errors import PhaseError
 
 
@@ -35,6 +37,7 @@ def train(args: argparse.Namespace) -> Any:
 
     from phase_sumo.config import preset
     from phase_sumo.policy.checkpoint import load_policy
+    from phase_sumo.train import tensorboard
     from phase_sumo.train.loop import Trainer
     from phase_sumo.train.run_folder import RunFolder
 
@@ -46,25 +49,20 @@ def train(args: argparse.Namespace) -> Any:
     held_out = load_maps(args.held_out, folder.path / "maps") if args.held_out else []
     start = load_policy(args.start_from) if args.start_from else None
     trainer = Trainer(config, maps, held_out, folder, args.resume, start)
-    stop: list[int] = []
-    previous = signal.signal(signal.SIGINT, lambda number, _: stop.append(number))
-    try:
-        with progress_bar("train") as progress:
-            trainer.run(
-                lambda row: progress(row["steps"] / config.total_steps, _rates(row)), lambda: bool(stop)
-            )
-    finally:
-        signal.signal(signal.SIGINT, previous)
-    print(f"{trainer.steps} agent steps, policy in {folder.policy}")
-    if stop:
+    if not tensorboard.installed():
+        print("curves in TensorBoard: pip install 'phase-sumo[tensorboard]'", file=sys.stderr)
+    with (
+        stop_signals() as stopping,
+        train_view(str(folder.path), trainer.steps, config.total_steps, stopping) as show,
+    ):
+        trainer.run(show, stopping)
+        stopped = stopping()
+    last = trainer.curve.last
+    memory = f", peak memory {last['peak_memory_mb']:,.0f} MB" if "peak_memory_mb" in last else ""
+    print(f"{trainer.steps} agent steps{memory}, policy in {folder.policy}")
+    if stopped:
         raise KeyboardInterrupt
-    return {**trainer.rows[-1], "agent_steps": trainer.steps, "policy": str(folder.policy)}
-
-
-def _rates(row: dict[str, float]) -> str:
-    shares = f"goal {row['goal_rate']:.2f}  collision {row['collision_rate']:.2f}  "
-    speed = row["steps"] / max(row["wall_seconds"], 1e-9)
-    return f"{shares}off road {row['road_edge_rate']:.2f}  rho {row['rho']:.2f}  {speed:.0f} steps/s"
+    return {**last, "agent_steps": trainer.steps, "policy": str(folder.policy)}
 
 
 def evaluate(args: argparse.Namespace) -> Any:

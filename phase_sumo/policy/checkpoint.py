@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from phase_sumo.config import ActionConfig, NetworkConfig, SimConfig, from_dict, to_dict
@@ -54,6 +54,14 @@ class Policy:
 def save_policy(path: str | Path, policy: Policy) -> None:
     """Write ``policy`` atomically: a reader sees the old file or the whole new one."""
     path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_bytes(policy_bytes(policy))
+    os.replace(temporary, path)
+
+
+def policy_bytes(policy: Policy) -> bytes:
+    """The content of a policy file."""
     header = {
         "format": FORMAT,
         "network": json.dumps(to_dict(policy.network_config)),
@@ -62,14 +70,10 @@ def save_policy(path: str | Path, policy: Policy) -> None:
         "layout": json.dumps(_layout()),
         "info": json.dumps(policy.info),
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part")
     tensors = {
         name: tensor.detach().cpu().contiguous() for name, tensor in policy.network.state_dict().items()
     }
-    save_file(tensors, temporary, metadata=header)
-    temporary.chmod(0o644)  # safetensors leaves it to its owner alone
-    os.replace(temporary, path)
+    return save(tensors, metadata=header)
 
 
 def load_policy(path: str | Path | None = None, device: torch.device | str = "cpu") -> Policy:

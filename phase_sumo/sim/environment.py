@@ -144,6 +144,7 @@ class Environment:
 
     def _observe(self) -> Observation:
         noise = None
+        self._seen_from = self._places.get_state()
         if self._noise:
             partner, road = self._noise.draw()
             noise = partner, road
@@ -172,30 +173,29 @@ class Environment:
         )
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that changes while stepping, for a checkpoint."""
+        """Everything that changes while stepping, for a checkpoint.
+
+        The observation is most of it, so it is made again, with the same noise, from what it was made of.
+        """
         return {
             "worlds": tensors(self.worlds),
             "spare": tensors(self._spare),
-            "observation": tensors(self.observation),
             "used": self._used,
             "steps": self._steps,
             "rho": self.rho,
             "generator": self.generator.get_state(),
-            "places": self._places.get_state(),
+            "places": self._seen_from,
         }
 
     def load_state_dict(self, stored: dict[str, Any]) -> None:
         """Continue from `state_dict` of an environment with the same maps and sizes."""
-        for name, batch in (
-            ("worlds", self.worlds),
-            ("spare", self._spare),
-            ("observation", self.observation),
-        ):
+        for name, batch in (("worlds", self.worlds), ("spare", self._spare)):
             for mine, theirs in zip(tensors(batch), stored[name], strict=True):
                 mine.copy_(theirs)
         self._used, self._steps, self.rho = stored["used"], stored["steps"], stored["rho"]
         self.generator.set_state(stored["generator"])
         self._places.set_state(stored["places"])
+        self.observation = self._observe()
 
 
 def tensors(batch: Any) -> list[Tensor]:

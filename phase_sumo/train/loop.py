@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -12,17 +11,17 @@ import torch
 import phase_sumo
 from phase_sumo.config import TrainConfig, to_dict
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.synthetic import RATES, evaluate_synthetic
-from phase_sumo.policy.checkpoint import Policy, save_policy
+from phase_sumo.policy.checkpoint import Policy
 from phase_sumo.policy.network import PolicyNetwork
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.curriculum import curriculum_progress
 from phase_sumo.sim.environment import Environment
+from phase_sumo.train.health import is_finite, peak_memory
+from phase_sumo.train.held_out import held_out_rates, is_due
 from phase_sumo.train.ppo import ValueScale, filter_samples, learn, make_samples
 from phase_sumo.train.rollout import collect
 from phase_sumo.train.run_folder import RunFolder
-
-HELD_OUT_WORLDS = 48
+from phase_sumo.train.tensorboard import TensorBoardLog
 
 
 class Trainer:
@@ -64,14 +63,15 @@ class Trainer:
         )
         self.scale = ValueScale()
         self.steps, self.wall = 0, 0.0
-        self.rows: list[dict[str, float]] = []
+        facts = {"phase_sumo": phase_sumo.__version__, "torch": torch.__version__, "networks": self.names}
         if resume:
-            self._restore(folder.load())
+            self._restore(folder)
+            folder.configure(config, facts)  # a resumed run may have been given other steps
         else:
             if start is not None:
                 self._begin_with(start)
-            facts = {"phase_sumo": phase_sumo.__version__, "torch": torch.__version__, "networks": self.names}
-            folder.start(config, facts)
+            folder.start(config, facts, self._checkpoint())
+        self.curve = folder.curve(self.steps)
 
     def run(
         self,
@@ -80,19 +80,22 @@ class Trainer:
     ) -> Policy:
         """Train until ``total_steps`` agent steps or ``stopping()``; a checkpoint is left either way."""
         saved = self.steps
-        while self.steps < self.config.total_steps and not stopping():
-            began = time.perf_counter()
-            row = self._update()
-            self.wall += time.perf_counter() - began
-            row = {"steps": self.steps, "wall_seconds": self.wall, **row}
-            if self._held_out_due(int(row["agent_steps"])):
-                row |= self._evaluate()
-            self.rows.append(row)
-            if report is not None:
-                report(row)
-            if self.steps - saved >= self.config.checkpoint_every:
-                self.save()
-                saved = self.steps
+        with TensorBoardLog(self.folder.path, self.steps) as board:
+            while self.steps < self.config.total_steps and not stopping():
+                began = time.perf_counter()
+                row = self._update()
+                self.wall += time.perf_counter() - began
+                row = {"steps": self.steps, "wall_seconds": self.wall, **row}
+                if self.held_out and is_due(self.steps, row["agent_steps"], self.config.held_out_every):
+                    row |= held_out_rates(self.policy(), self.held_out, self.config)
+                row |= peak_memory(self.generator.device)
+                self.curve.add(row)
+                board.add(row)
+                if report is not None:
+                    report(row)
+                if self.steps - saved >= self.config.checkpoint_every:
+                    self.save()
+                    saved = self.steps
         self.save()
         return self.policy()
 
@@ -112,8 +115,12 @@ class Trainer:
         return Policy(network.eval(), config.sim, config.actions, config.network, info)
 
     def save(self) -> None:
-        """Write checkpoint, curve and policy."""
-        checkpoint = {
+        """Write checkpoint and policy, after the curve up to them."""
+        self.curve.sync()
+        self.folder.save(self._checkpoint(), self.policy())
+
+    def _checkpoint(self) -> dict[str, Any]:
+        return {
             "network": self.network.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "env": self.env.state_dict(),
@@ -121,10 +128,7 @@ class Trainer:
             "scale": vars(self.scale),
             "steps": self.steps,
             "wall": self.wall,
-            "rows": self.rows,
         }
-        self.folder.save(checkpoint, self.rows)
-        save_policy(self.folder.policy, self.policy())
 
     def _begin_with(self, policy: Policy) -> None:
         mine, theirs = (self.config.network, self.config.actions), (policy.network_config, policy.actions)
@@ -136,15 +140,21 @@ class Trainer:
         self.network.load_state_dict(policy.network.state_dict())
         vars(self.scale).update(policy.info["value_scale"])
 
-    def _restore(self, stored: dict[str, Any]) -> None:
+    def _restore(self, folder: RunFolder) -> None:
+        if folder.networks() != self.names:
+            raise PhaseError(
+                f"{folder.path} trains on {' '.join(folder.networks())}, not {' '.join(self.names)}; "
+                "pass the same --networks, or begin a new run with --start-from its policy"
+            )
+        stored = folder.load()
         self.network.load_state_dict(stored["network"])
         self.optimiser.load_state_dict(stored["optimiser"])
         self.env.load_state_dict(stored["env"])
         self.generator.set_state(stored["generator"])
         vars(self.scale).update(stored["scale"])
-        self.steps, self.wall, self.rows = stored["steps"], stored["wall"], stored["rows"]
+        self.steps, self.wall = stored["steps"], stored["wall"]
 
-    def _update(self) -> dict[str, float]:
+    def _update(self) -> dict[str, Any]:
         """One rollout and one epoch of learning; returns the row of the curve."""
         config = self.config
         rho = curriculum_progress(self.steps, config.total_steps, *config.curriculum)
@@ -166,15 +176,16 @@ class Trainer:
         samples = make_samples(rollout, config, self.scale)
         kept = filter_samples(samples, config.learn_share)
         losses = learn(self.network.train(), self.optimiser, kept, config, self.generator)
-        if not all(math.isfinite(value) for value in losses.values()):
+        if not is_finite(losses, self.network):
             raise PhaseError(
-                f"training diverged at {self.steps} agent steps ({losses}); the last checkpoint is intact: "
-                "lower learning_rate and continue with --resume"
+                f"{self.folder.path}: training diverged at {self.steps} agent steps, {losses}; the last "
+                "checkpoint is intact: lower learning_rate in config.json there and continue with --resume"
             )
         self.steps += rollout.counts.steps
         return {
             "agent_steps": rollout.counts.steps,
             "rho": rho,
+            "learning_rate": self.optimiser.param_groups[0]["lr"],
             **rollout.counts.rates(),
             "finished": rollout.counts.finished,
             "rollout_cpu_us": 1e6 * (collected - start) / max(rollout.counts.steps, 1),
@@ -182,18 +193,3 @@ class Trainer:
             **losses,
             **{f"reward_{name}": value for name, value in rollout.counts.terms.items()},
         }
-
-    def _held_out_due(self, latest: int) -> bool:
-        every = self.config.held_out_every
-        return bool(self.held_out) and (self.steps // every > (self.steps - latest) // every)
-
-    def _evaluate(self) -> dict[str, float]:
-        result = evaluate_synthetic(
-            self.policy(),
-            self.held_out,
-            self.config.scenarios,
-            HELD_OUT_WORLDS,
-            self.config.slots,
-            seed=10_000 + self.config.seed,
-        )
-        return {f"held_out_{name}": result[name] for name in RATES}

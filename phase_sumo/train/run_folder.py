@@ -1,12 +1,10 @@
-"""The folder of a training run: configuration, curve, checkpoint, best policy; every write is atomic."""
+"""The folder of a training run: configuration, curve, checkpoint, policy."""
 
 from __future__ import annotations
 
-import csv
 import io
 import json
-import os
-from collections.abc import Callable
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +12,19 @@ import torch
 
 from phase_sumo.config import TrainConfig, from_dict, to_dict
 from phase_sumo.errors import PhaseError
+from phase_sumo.policy.checkpoint import Policy, policy_bytes
+from phase_sumo.train import disk
+from phase_sumo.train.curve import Curve
 
 CONFIG, CURVE, CHECKPOINT, POLICY = "config.json", "curve.csv", "checkpoint.pt", "policy.safetensors"
 
 
 class RunFolder:
-    """Paths and atomic writes of one run."""
+    """Paths and atomic writes of one run.
+
+    A run exists from the moment that its ``config.json`` does: then there is a checkpoint, and ``--resume``
+    works, however the run is ended.
+    """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -28,46 +33,58 @@ class RunFolder:
     def policy(self) -> Path:
         return self.path / POLICY
 
-    def start(self, config: TrainConfig, facts: dict[str, Any]) -> None:
-        """Begin a new run; an existing one is never overwritten."""
-        if (self.path / CHECKPOINT).exists() or (self.path / CURVE).exists():
+    def start(self, config: TrainConfig, facts: dict[str, Any], checkpoint: dict[str, Any]) -> None:
+        """Begin a new run at its first checkpoint; an existing run is never overwritten."""
+        if (self.path / CONFIG).exists():
             raise PhaseError(
                 f"{self.path} already holds a run; continue it with --resume or name another folder"
             )
-        self.path.mkdir(parents=True, exist_ok=True)
+        disk.guard(self.path / CONFIG, 0, lambda: self.path.mkdir(parents=True, exist_ok=True))
+        disk.write(self.path / CHECKPOINT, _checkpoint_bytes(checkpoint))
+        self.configure(config, facts)
+
+    def configure(self, config: TrainConfig, facts: dict[str, Any]) -> None:
+        """Store what the run is from now on."""
         text = json.dumps({"train": to_dict(config), **facts}, indent=1)
-        self._write(CONFIG, lambda target: target.write_text(text))
+        disk.write(self.path / CONFIG, text.encode())
 
     def config(self) -> TrainConfig:
-        try:
-            return from_dict(TrainConfig, json.loads((self.path / CONFIG).read_text())["train"])
-        except FileNotFoundError:
-            raise PhaseError(f"{self.path} holds no run to resume; start one without --resume") from None
+        return from_dict(TrainConfig, self._described()["train"])
 
-    def save(self, checkpoint: dict[str, Any], rows: list[dict[str, float]]) -> None:
-        """Store a checkpoint and the whole curve up to it."""
-        self._write(CHECKPOINT, lambda target: torch.save(checkpoint, target))
-        columns = list(dict.fromkeys(key for row in rows for key in row))
-        text = io.StringIO()
-        writer = csv.DictWriter(text, columns, restval="")
-        writer.writeheader()
-        writer.writerows([{k: f"{v:.6g}" for k, v in row.items()} for row in rows])
-        self._write(CURVE, lambda target: target.write_text(text.getvalue()))
+    def networks(self) -> list[str]:
+        """Names of the maps that the run trains on."""
+        return self._described()["networks"]
+
+    def curve(self, steps: int) -> Curve:
+        """The curve, cut back to ``steps``."""
+        return Curve(self.path / CURVE, steps)
+
+    def save(self, checkpoint: dict[str, Any], policy: Policy) -> None:
+        disk.write(self.path / CHECKPOINT, _checkpoint_bytes(checkpoint))
+        disk.write(self.policy, policy_bytes(policy))
 
     def load(self) -> dict[str, Any]:
         file = self.path / CHECKPOINT
         if not file.exists():
-            raise PhaseError(f"{file}: no checkpoint to resume from; start the run without --resume")
-        return torch.load(file, weights_only=True)
-
-    def _write(self, name: str, write: Callable[[Path], Any]) -> None:
-        temporary = self.path / (name + ".part")
+            raise PhaseError(f"{file}: no checkpoint to resume from; name another folder with --run")
         try:
-            write(temporary)
-            os.replace(temporary, self.path / name)
-        except OSError as error:
-            temporary.unlink(missing_ok=True)
+            return torch.load(file, weights_only=True)
+        except (RuntimeError, OSError, EOFError, pickle.UnpicklingError) as error:
+            reason = str(error).splitlines()[0]
             raise PhaseError(
-                f"{self.path / name}: cannot be written ({error.strerror}); the last checkpoint is intact, "
-                "free some space and continue with --resume"
+                f"{file}: no readable checkpoint ({reason}); train anew in another folder, with --start-from "
+                f"{self.policy} if that is still good"
             ) from error
+
+    def _described(self) -> dict[str, Any]:
+        try:
+            return json.loads((self.path / CONFIG).read_text())
+        except FileNotFoundError:
+            raise PhaseError(f"{self.path} holds no run to resume; start one without --resume") from None
+
+
+def _checkpoint_bytes(checkpoint: dict[str, Any]) -> bytes:
+    # through memory: only then is its size known before the disk is touched
+    buffer = io.BytesIO()
+    torch.save(checkpoint, buffer)
+    return buffer.getvalue()

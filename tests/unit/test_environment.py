@@ -137,6 +137,10 @@ def test_state_dict_continues_bit_for_bit(straight_map):
     other = make(straight_map, seed=99, training=True)
     other.load_state_dict(stored)
     for _ in range(40):
+        for mine, theirs in zip(
+            vars(env.observation).values(), vars(other.observation).values(), strict=True
+        ):
+            assert torch.equal(mine, theirs)
         assert torch.equal(env.step(coast(env)).reward, other.step(coast(other)).reward)
 
 

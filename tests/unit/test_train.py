@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import json
 
@@ -12,8 +11,10 @@ import torch
 from phase_sumo.config import TrainConfig, from_dict, preset, to_dict
 from phase_sumo.errors import PhaseError
 from phase_sumo.policy.checkpoint import load_policy
+from phase_sumo.train import ppo
 from phase_sumo.train.loop import Trainer
 from phase_sumo.train.run_folder import RunFolder
+from tests.curves import read_curve, read_tensorboard
 
 TINY = dataclasses.replace(
     preset("smoke"), worlds=8, slots=8, minibatch=128, total_steps=4000, checkpoint_every=700
@@ -25,24 +26,26 @@ def weights(trainer: Trainer) -> list[torch.Tensor]:
 
 
 def test_a_run_leaves_config_curve_checkpoint_and_policy(straight_map, tmp_path):
-    config = dataclasses.replace(TINY, held_out_every=1000)
+    config = dataclasses.replace(TINY, held_out_every=2000)
     trainer = Trainer(config, [straight_map], [straight_map], RunFolder(tmp_path / "run"))
     before = weights(trainer)
     trainer.run()
     assert trainer.steps >= config.total_steps
     assert any(not torch.equal(a, b) for a, b in zip(before, weights(trainer), strict=True))
-    assert sorted(p.name for p in (tmp_path / "run").iterdir()) == [
+    assert sorted(p.name for p in (tmp_path / "run").iterdir() if p.is_file()) == [
         "checkpoint.pt",
         "config.json",
         "curve.csv",
         "policy.safetensors",
     ]
-    with (tmp_path / "run" / "curve.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = read_curve(tmp_path / "run")
     assert [float(r["steps"]) for r in rows] == sorted(float(r["steps"]) for r in rows)
-    assert sum(bool(r["held_out_goal_rate"]) for r in rows) == 4
+    assert sum(bool(r["held_out_goal_rate"]) for r in rows) == 2
+    points = read_tensorboard(tmp_path / "run")
+    assert len(points) == len(rows[0]) and len(points["held_out/goal_rate"]) == 2
+    assert points["training/goal_rate"] == [int(r["steps"]) for r in rows]
+    assert all(float(r["peak_memory_mb"]) > 50 for r in rows)
     assert load_policy(tmp_path / "run" / "policy.safetensors").info["agent_steps"] == trainer.steps
-    assert (tmp_path / "run" / "checkpoint.pt").stat().st_size < 16e6
 
 
 def test_a_stopped_run_continues_bit_for_bit(straight_map, tmp_path):
@@ -84,14 +87,51 @@ def test_a_new_run_can_start_from_a_policy(straight_map, tmp_path):
         Trainer(wider, [straight_map], [], RunFolder(tmp_path / "third"), start=policy)
 
 
-def test_divergence_stops_with_the_last_checkpoint_intact(straight_map, tmp_path):
-    trainer = Trainer(TINY, [straight_map], [], RunFolder(tmp_path))
-    trainer.save()
-    with torch.no_grad():
-        trainer.network.value[-1].bias.fill_(float("nan"))  # type: ignore[union-attr]
-    with pytest.raises(PhaseError, match="diverged"):
+@pytest.mark.parametrize("when", ["before", "in the last step"])
+def test_divergence_stops_with_the_last_checkpoint_intact(straight_map, tmp_path, monkeypatch, when: str):
+    config = dataclasses.replace(TINY, checkpoint_every=1)
+    trainer = Trainer(config, [straight_map], [], RunFolder(tmp_path))
+
+    def break_weights() -> None:
+        with torch.no_grad():
+            trainer.network.value[-1].bias.fill_(float("nan"))  # type: ignore[union-attr]
+
+    def learn_and_break(*arguments) -> dict[str, float]:
+        losses = ppo.learn(*arguments)
+        break_weights()
+        return losses  # of the minibatches before: all finite
+
+    if when == "before":
+        break_weights()
+    else:
+        monkeypatch.setattr("phase_sumo.train.loop.learn", learn_and_break)
+    with pytest.raises(PhaseError, match=r"diverged at 0 .*learning_rate in config.json.*--resume"):
         trainer.run()
     assert all(t.isfinite().all() for t in RunFolder(tmp_path).load()["network"].values())
+
+
+@pytest.mark.parametrize(("worlds", "slots"), [(72, 48), (24, 192)])
+def test_a_checkpoint_is_small(straight_map, tmp_path, worlds: int, slots: int):
+    config = dataclasses.replace(preset("phase"), worlds=worlds, slots=slots, rollout=1, total_steps=1)
+    Trainer(config, [straight_map], [], RunFolder(tmp_path)).run()
+    assert (tmp_path / "checkpoint.pt").stat().st_size < 10e6
+
+
+def test_a_resumed_run_keeps_its_maps_and_its_new_length(straight_map, tmp_path):
+    Trainer(dataclasses.replace(TINY, total_steps=1), [straight_map], [], RunFolder(tmp_path)).run()
+    Trainer(dataclasses.replace(TINY, total_steps=2), [straight_map], [], RunFolder(tmp_path), resume=True)
+    assert RunFolder(tmp_path).config().total_steps == 2
+    other = dataclasses.replace(straight_map, name="other")
+    with pytest.raises(PhaseError, match=r"trains on straight, not other.*same --networks"):
+        Trainer(TINY, [other], [], RunFolder(tmp_path), resume=True)
+
+
+def test_a_broken_checkpoint_is_refused(straight_map, tmp_path):
+    Trainer(TINY, [straight_map], [], RunFolder(tmp_path))
+    file = tmp_path / "checkpoint.pt"
+    file.write_bytes(file.read_bytes()[:5000])
+    with pytest.raises(PhaseError, match=r"checkpoint.pt: no readable checkpoint.*--start-from"):
+        Trainer(TINY, [straight_map], [], RunFolder(tmp_path), resume=True)
 
 
 def test_presets_differ_in_what_they_ablate():
