@@ -66,7 +66,9 @@ def make_parser() -> argparse.ArgumentParser:
     )
     sub.add_argument("--run", required=True, metavar="DIR", help="folder of the run")
     sub.add_argument(
-        "--preset", default="phase", help="phase, no-dclamp, no-reweighting, no-curriculum or smoke"
+        "--preset",
+        default="phase",
+        help="phase, no-dclamp, no-reweighting, no-curriculum, gpudrive, gpudrive-same-model or smoke",
     )
     sub.add_argument("--steps", type=int, help="agent steps of the whole training; the preset's if left out")
     sub.add_argument("--resume", action="store_true", help="continue the run in --run")

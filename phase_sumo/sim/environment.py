@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from phase_sumo.config import ActionConfig, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.config import ActionConfig, Actions, RewardConfig, ScenarioConfig, SimConfig
 from phase_sumo.sim import scenario
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.dimensions import truck_slots
@@ -23,6 +23,8 @@ from phase_sumo.sim.worlds import Outcome, RollingGoals, Transition, Worlds, adv
 # Steps between refills of the scenarios that finished worlds take over. The rare world that is over twice in
 # between drives the same one again.
 RESAMPLE_EVERY = 32
+# Room to brake that a new scenario leaves, m/s^3: our lattice's, so that all policies drive the same worlds.
+BRAKING_JERK = -min(ActionConfig().jerk)
 # Static shapes. Values that read up to 16 tensors may be fused into their users; with the default of 4, much
 # of the observation goes through memory. Indices are right by construction and not checked one by one.
 COMPILATION: Any = {
@@ -61,7 +63,7 @@ class Environment:
         sim: SimConfig,
         scenarios: ScenarioConfig,
         reward: RewardConfig,
-        actions: ActionConfig,
+        actions: Actions,
         seed: int = 0,
         device: torch.device | str = "cpu",
         training: bool = True,
@@ -167,7 +169,7 @@ class Environment:
             self.rho >= 1.0,
             self.scenarios,
             self.sim,
-            -min(self.actions.jerk),
+            BRAKING_JERK,
             self.generator,
         )
 

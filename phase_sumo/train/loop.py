@@ -13,8 +13,8 @@ import phase_sumo
 from phase_sumo.config import TrainConfig, to_dict
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.synthetic import RATES, evaluate_synthetic
+from phase_sumo.policy.build import build_network
 from phase_sumo.policy.checkpoint import Policy, save_policy
-from phase_sumo.policy.network import PolicyNetwork
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.curriculum import curriculum_progress
 from phase_sumo.sim.environment import Environment
@@ -48,7 +48,7 @@ class Trainer:
         self.config, self.held_out, self.folder = config, held_out, folder
         self.names = [m.name for m in maps]
         torch.manual_seed(config.seed)
-        self.network = PolicyNetwork(config.network, config.actions).to(device)
+        self.network = build_network(config.network, config.actions).to(device)
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, eps=1e-5)
         self.generator = torch.Generator(device=device).manual_seed(config.seed + 1)
         self.env = Environment(
@@ -107,7 +107,7 @@ class Trainer:
             "train": to_dict(config),
         }
         # held apart from the weights in training
-        network = PolicyNetwork(config.network, config.actions)
+        network = build_network(config.network, config.actions)
         network.load_state_dict(self.network.state_dict())
         return Policy(network.eval(), config.sim, config.actions, config.network, info)
 
@@ -151,7 +151,7 @@ class Trainer:
         self.env.rho = rho
         for group in self.optimiser.param_groups:
             share = min(self.steps / max(config.total_steps, 1), 1.0)
-            group["lr"] = config.learning_rate * (1.0 - 0.9 * share)
+            group["lr"] = config.learning_rate * (1.0 - (1.0 - config.final_learning_rate) * share)
         start = time.process_time()
         rollout = collect(
             self.env,

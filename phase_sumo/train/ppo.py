@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from phase_sumo.config import TrainConfig
-from phase_sumo.policy.network import PolicyNetwork
+from phase_sumo.policy.network import ActorCritic
 from phase_sumo.train.rollout import Rollout, Samples, evaluate
 
 
@@ -143,19 +145,26 @@ def filter_samples(samples: Samples, share: float) -> Samples:
     return samples.select(samples.advantage.abs().topk(count, sorted=False).indices)
 
 
+def minibatches(samples: Samples, config: TrainConfig, generator: torch.Generator) -> Iterator[Tensor]:
+    """Indices [B] of the samples, each once per epoch, in parts of nearly equal size."""
+    count, device = len(samples), samples.action.device
+    # dropout draws from the global generator: seeded by ours, a resumed run goes on exactly
+    torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator, device=device)))
+    for _ in range(config.epochs):
+        order = torch.randperm(count, generator=generator, device=device)
+        yield from order.tensor_split(max(1, round(count / config.minibatch)))
+
+
 def learn(
-    network: PolicyNetwork,
+    network: ActorCritic,
     optimiser: torch.optim.Optimizer,
     samples: Samples,
     config: TrainConfig,
     generator: torch.Generator,
 ) -> dict[str, float]:
-    """One epoch of minibatch updates; returns the means of the losses and diagnostics."""
-    order = torch.randperm(len(samples), generator=generator, device=samples.action.device)
+    """All epochs of minibatch updates; returns the means of the losses and diagnostics."""
     stats: dict[str, list[float]] = {}
-    for index in order.split(config.minibatch):
-        if len(index) < config.minibatch // 4 and len(order) > config.minibatch:
-            continue  # a small remainder would make a noisy step
+    for index in minibatches(samples, config, generator):
         loss, parts = _loss(network, samples.select(index), config)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -166,7 +175,7 @@ def learn(
     return {name: sum(values) / len(values) for name, values in stats.items()}
 
 
-def _loss(network: PolicyNetwork, batch: Samples, config: TrainConfig) -> tuple[Tensor, dict[str, Tensor]]:
+def _loss(network: ActorCritic, batch: Samples, config: TrainConfig) -> tuple[Tensor, dict[str, Tensor]]:
     logits, value = evaluate(network, batch.observation, config.bf16)
     log_probs = logits.log_softmax(-1)
     log_prob = log_probs.gather(-1, batch.action.unsqueeze(-1)).squeeze(-1)

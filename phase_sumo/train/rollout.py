@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from phase_sumo.policy.network import PolicyNetwork
+from phase_sumo.policy.network import ActorCritic
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.observation import Observation
 
@@ -86,7 +86,7 @@ class Rollout:
 @torch.no_grad()
 def collect(
     env: Environment,
-    network: PolicyNetwork,
+    network: ActorCritic,
     steps: int,
     gamma: float,
     value_scale: tuple[float, float],
@@ -132,7 +132,7 @@ def collect(
     )
 
 
-def evaluate(network: PolicyNetwork, observation: Observation, bf16: bool) -> tuple[Tensor, Tensor]:
+def evaluate(network: ActorCritic, observation: Observation, bf16: bool) -> tuple[Tensor, Tensor]:
     """The network with its matrix products in bf16 or not; outputs are fp32."""
     with torch.autocast(observation.ego.device.type, torch.bfloat16, enabled=bf16):
         return network(observation)

@@ -45,14 +45,20 @@ def test_a_run_leaves_config_curve_checkpoint_and_policy(straight_map, tmp_path)
     assert (tmp_path / "run" / "checkpoint.pt").stat().st_size < 16e6
 
 
-def test_a_stopped_run_continues_bit_for_bit(straight_map, tmp_path):
-    whole = Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "whole"))
+BASELINE = dataclasses.replace(
+    preset("gpudrive"), worlds=8, slots=8, rollout=16, minibatch=256, epochs=2, total_steps=2500
+)
+
+
+@pytest.mark.parametrize("config", [TINY, BASELINE], ids=["phase", "gpudrive"])
+def test_a_stopped_run_continues_bit_for_bit(straight_map, tmp_path, config: TrainConfig):
+    whole = Trainer(config, [straight_map], [], RunFolder(tmp_path / "whole"))
     whole.run()
-    first = Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "parts"))
+    first = Trainer(config, [straight_map], [], RunFolder(tmp_path / "parts"))
     updates: list[dict[str, float]] = []
     first.run(updates.append, stopping=lambda: len(updates) == 2)
-    assert first.steps < TINY.total_steps
-    second = Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "parts"), resume=True)
+    assert first.steps < config.total_steps
+    second = Trainer(config, [straight_map], [], RunFolder(tmp_path / "parts"), resume=True)
     second.run()
     assert second.steps == whole.steps
     for a, b in zip(weights(whole), weights(second), strict=True):
@@ -98,12 +104,22 @@ def test_presets_differ_in_what_they_ablate():
     phase = preset("phase")
     assert preset("no-dclamp") == dataclasses.replace(phase, dclamp_alpha=1.0)
     assert preset("no-reweighting") == dataclasses.replace(phase, reweight=False)
+    assert preset("no-curriculum") == dataclasses.replace(phase, curriculum=(2.0, 3.0))
+    baseline, same_model = preset("gpudrive"), preset("gpudrive-same-model")
+    assert same_model.network == phase.network and same_model.actions.axes == phase.actions.axes
+    model = {"network": baseline.network, "actions": baseline.actions}
+    assert dataclasses.replace(same_model, **model) == baseline
+    assert baseline.scenarios == phase.scenarios and baseline.curriculum == phase.curriculum
     with pytest.raises(PhaseError, match="no preset 'fast'"):
         preset("fast")
 
 
-def test_config_round_trip_and_unknown_keys():
-    config = preset("smoke")
+@pytest.mark.parametrize("name", ["smoke", "gpudrive", "gpudrive-same-model"])
+def test_config_round_trip(name: str):
+    config = preset(name)
     assert from_dict(TrainConfig, json.loads(json.dumps(to_dict(config)))) == config
+
+
+def test_unknown_settings_are_refused():
     with pytest.raises(PhaseError, match="no setting 'speed'"):
         from_dict(TrainConfig, {"speed": 1})
