@@ -35,27 +35,35 @@ def train(args: argparse.Namespace) -> Any:
 
     from phase_sumo.config import preset
     from phase_sumo.policy.checkpoint import load_policy
+    from phase_sumo.train import distributed
     from phase_sumo.train.loop import Trainer
     from phase_sumo.train.run_folder import RunFolder
 
+    device = distributed.start()
+    first = distributed.rank() == 0
     folder = RunFolder(args.run)
     config = folder.config() if args.resume else replace(preset(args.preset), seed=args.seed)
     if args.steps:
         config = replace(config, total_steps=args.steps)
-    maps = load_maps(args.networks, folder.path / "maps")
-    held_out = load_maps(args.held_out, folder.path / "maps") if args.held_out else []
+    with distributed.first_before_others():  # converts, and the others read
+        maps = load_maps(args.networks, folder.path / "maps")
+        held_out = load_maps(args.held_out, folder.path / "maps") if args.held_out else []
     start = load_policy(args.start_from) if args.start_from else None
-    trainer = Trainer(config, maps, held_out, folder, args.resume, start)
+    trainer = Trainer(config, maps, held_out, folder, args.resume, start, device)
     stop: list[int] = []
     previous = signal.signal(signal.SIGINT, lambda number, _: stop.append(number))
     try:
-        with progress_bar("train") as progress:
+        with progress_bar("train", show=first) as progress:
             trainer.run(
                 lambda row: progress(row["steps"] / config.total_steps, _rates(row)), lambda: bool(stop)
             )
     finally:
         signal.signal(signal.SIGINT, previous)
-    print(f"{trainer.steps} agent steps, policy in {folder.policy}")
+        distributed.stop()
+    if first:
+        print(f"{trainer.steps} agent steps, policy in {folder.policy}")
+    else:
+        args.json = None  # the first process writes it
     if stop:
         raise KeyboardInterrupt
     return {**trainer.rows[-1], "agent_steps": trainer.steps, "policy": str(folder.policy)}

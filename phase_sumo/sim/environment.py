@@ -47,6 +47,7 @@ class Environment:
         training: perturb partner and road observations, and start the clocks of the worlds apart so that
             resets spread over time.
         rolling: agents at their goal get the next one and stay until the road or the horizon ends.
+        share: (k, n) for every n-th of the worlds only, from the k-th on; the others run elsewhere.
         compiled: step through torch.compile (about a minute to start; many times faster from then on).
 
     Attributes:
@@ -67,6 +68,7 @@ class Environment:
         seed: int = 0,
         device: torch.device | str = "cpu",
         training: bool = True,
+        share: tuple[int, int] = (0, 1),
         compiled: bool = False,
         rolling: bool = False,
     ) -> None:
@@ -82,13 +84,13 @@ class Environment:
         self.regimes = scenario.RegimeTable.of(
             [scenarios.regimes[r] for _, r in tuples], scenarios.agent_scale, slots, device
         )
-        turn = torch.arange(worlds, device=device)
+        turn = torch.arange(worlds, device=device)[share[0] :: share[1]]
         # fewer worlds than tuples are spread over all of them
         self.tuple_index = turn % len(tuples) if worlds >= len(tuples) else turn * len(tuples) // worlds
         self.map_index = torch.tensor([m for m, _ in tuples], device=device)[self.tuple_index]
         self.regime_index = torch.tensor([r for _, r in tuples], device=device)[self.tuple_index]
         self._places = torch.Generator().manual_seed(seed)
-        seen = ((worlds, slots, 4, sim.neighbours), (worlds, slots, 2, POINTS_PER_CELL))
+        seen = ((len(turn), slots, 4, sim.neighbours), (len(turn), slots, 2, POINTS_PER_CELL))
         self._noise = NoiseTable(seen, self._places, device) if training else None
         self._advance = torch.compile(advance, **COMPILATION) if compiled else advance
         self._look = torch.compile(look, **COMPILATION) if compiled else look
@@ -195,7 +197,8 @@ class Environment:
         ):
             for mine, theirs in zip(tensors(batch), stored[name], strict=True):
                 mine.copy_(theirs)
-        self._used, self._steps, self.rho = stored["used"], stored["steps"], stored["rho"]
+        self._used.copy_(stored["used"])
+        self._steps, self.rho = stored["steps"], stored["rho"]
         self.generator.set_state(stored["generator"])
         self._places.set_state(stored["places"])
 

@@ -18,6 +18,7 @@ from phase_sumo.policy.checkpoint import Policy, save_policy
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.curriculum import curriculum_progress
 from phase_sumo.sim.environment import Environment
+from phase_sumo.train import distributed
 from phase_sumo.train.ppo import ValueScale, filter_samples, learn, make_samples
 from phase_sumo.train.rollout import collect
 from phase_sumo.train.run_folder import RunFolder
@@ -50,7 +51,7 @@ class Trainer:
         torch.manual_seed(config.seed)
         self.network = build_network(config.network, config.actions).to(device)
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, eps=1e-5)
-        self.generator = torch.Generator(device=device).manual_seed(config.seed + 1)
+        self.generator = torch.Generator(device=device).manual_seed(distributed.own_seed(config.seed + 1))
         self.env = Environment(
             maps,
             config.worlds,
@@ -59,8 +60,9 @@ class Trainer:
             config.scenarios,
             config.reward,
             config.actions,
-            seed=config.seed,
+            seed=distributed.own_seed(config.seed),
             device=device,
+            share=distributed.share(config.worlds),
         )
         self.scale = ValueScale()
         self.steps, self.wall = 0, 0.0
@@ -71,7 +73,8 @@ class Trainer:
             if start is not None:
                 self._begin_with(start)
             facts = {"phase_sumo": phase_sumo.__version__, "torch": torch.__version__, "networks": self.names}
-            folder.start(config, facts)
+            if distributed.rank() == 0:
+                folder.start(config, facts)
 
     def run(
         self,
@@ -80,12 +83,12 @@ class Trainer:
     ) -> Policy:
         """Train until ``total_steps`` agent steps or ``stopping()``; a checkpoint is left either way."""
         saved = self.steps
-        while self.steps < self.config.total_steps and not stopping():
+        while self.steps < self.config.total_steps and not distributed.anywhere(stopping()):
             began = time.perf_counter()
             row = self._update()
             self.wall += time.perf_counter() - began
             row = {"steps": self.steps, "wall_seconds": self.wall, **row}
-            if self._held_out_due(int(row["agent_steps"])):
+            if distributed.rank() == 0 and self._held_out_due(int(row["agent_steps"])):
                 row |= self._evaluate()
             self.rows.append(row)
             if report is not None:
@@ -116,15 +119,16 @@ class Trainer:
         checkpoint = {
             "network": self.network.state_dict(),
             "optimiser": self.optimiser.state_dict(),
-            "env": self.env.state_dict(),
-            "generator": self.generator.get_state(),
+            "env": distributed.gather(self.env.state_dict()),
+            "generator": distributed.gather(self.generator.get_state()),
             "scale": vars(self.scale),
             "steps": self.steps,
             "wall": self.wall,
             "rows": self.rows,
         }
-        self.folder.save(checkpoint, self.rows)
-        save_policy(self.folder.policy, self.policy())
+        if distributed.rank() == 0:
+            self.folder.save(checkpoint, self.rows)
+            save_policy(self.folder.policy, self.policy())
 
     def _begin_with(self, policy: Policy) -> None:
         mine, theirs = (self.config.network, self.config.actions), (policy.network_config, policy.actions)
@@ -139,8 +143,8 @@ class Trainer:
     def _restore(self, stored: dict[str, Any]) -> None:
         self.network.load_state_dict(stored["network"])
         self.optimiser.load_state_dict(stored["optimiser"])
-        self.env.load_state_dict(stored["env"])
-        self.generator.set_state(stored["generator"])
+        self.env.load_state_dict(distributed.own(stored["env"]))
+        self.generator.set_state(distributed.own(stored["generator"]))
         vars(self.scale).update(stored["scale"])
         self.steps, self.wall, self.rows = stored["steps"], stored["wall"], stored["rows"]
 

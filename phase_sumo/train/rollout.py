@@ -10,6 +10,7 @@ from torch import Tensor
 from phase_sumo.policy.network import ActorCritic
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.observation import Observation
+from phase_sumo.train import distributed
 
 
 @dataclass
@@ -53,6 +54,13 @@ class Counts:
     success: float = 0.0
     steps: int = 0
     terms: dict[str, float] = field(default_factory=dict)
+
+    def everywhere(self) -> Counts:
+        """Those of all processes together; the terms' means are averaged."""
+        shares = [self.finished, self.goal, self.collision, self.at_fault, self.road_edge, self.success]
+        *shares, steps = distributed.totals([*shares, self.steps])
+        terms = distributed.totals([term / distributed.size() for term in self.terms.values()])
+        return Counts(*shares, steps=int(steps), terms=dict(zip(self.terms, terms, strict=True)))
 
     def rates(self) -> dict[str, float]:
         """Shares of the finished agents."""
@@ -128,7 +136,12 @@ def collect(
     last = evaluate(network, env.observation.rows(active), bf16)[1] * std + mean
     stacked = {name: torch.stack(parts) for name, parts in columns.items()}
     return Rollout(
-        observations, actions, log_probs, **stacked, last_value=scatter(last, active), counts=counts
+        observations,
+        actions,
+        log_probs,
+        **stacked,
+        last_value=scatter(last, active),
+        counts=counts.everywhere(),
     )
 
 

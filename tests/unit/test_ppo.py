@@ -131,8 +131,9 @@ def numbered(advantage: torch.Tensor) -> Samples:
 @pytest.mark.parametrize(("count", "parts"), [(10, 1), (64, 1), (95, 1), (97, 2), (1000, 16)])
 def test_every_epoch_visits_every_sample_once_in_parts_of_equal_size(count: int, parts: int):
     config = dataclasses.replace(preset("smoke"), minibatch=64, epochs=3)
-    batches = list(minibatches(numbered(torch.zeros(count)), config, torch.Generator().manual_seed(0)))
-    assert len(batches) == 3 * parts
+    found = list(minibatches(numbered(torch.zeros(count)), config, torch.Generator().manual_seed(0)))
+    batches = [index for index, _ in found]
+    assert len(batches) == 3 * parts and all(len(index) == size for index, size in found)
     assert max(map(len, batches)) - min(map(len, batches)) <= 1
     for epoch in range(3):
         visited = torch.cat(batches[epoch * parts : (epoch + 1) * parts])
