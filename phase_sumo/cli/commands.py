@@ -75,6 +75,27 @@ def _rates(row: dict[str, float]) -> str:
     return f"{shares}off road {row['road_edge_rate']:.2f}  rho {row['rho']:.2f}  {speed:.0f} steps/s"
 
 
+def tune(args: argparse.Namespace) -> Any:
+    from dataclasses import replace
+
+    from phase_sumo.config import preset
+    from phase_sumo.train import tune as study
+
+    folder, config = Path(args.run), replace(preset(args.preset), seed=args.seed, total_steps=args.steps)
+    table = Path(args.table)
+    study.read_table(table, config)  # a bad one is found before networks are converted
+    maps, held_out = (load_maps(paths, folder / "maps") for paths in (args.networks, args.held_out))
+    with progress_bar("tune") as progress:
+        result = study.tune(folder, config, maps, held_out, args.trials, table, progress)
+    print(
+        f"{result['trials']} trials, {result['pruned']} of them pruned; goal rate {result['goal_rate']:.3f}:"
+    )
+    for setting, value in result["settings"].items():
+        print(f"{setting:>30}: {value:.4g}")
+    print(f"policy in {result['policy']}")
+    return result
+
+
 def evaluate(args: argparse.Namespace) -> Any:
     from phase_sumo.config import TrainConfig
     from phase_sumo.evaluate.synthetic import RATES, evaluate_synthetic

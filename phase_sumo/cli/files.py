@@ -15,6 +15,7 @@ from phase_sumo.errors import PhaseError
 CLONE = Path(phase_sumo.__file__).resolve().parent.parent
 DEMO = CLONE / "scenarios" / "merge" / "merge.sumocfg"
 HELD_OUT = CLONE / "networks" / "held_out"
+TUNE_TABLE = Path(phase_sumo.__file__).parent / "train" / "tune.csv"
 NETWORKS = (".net.xml", ".net.xml.gz", ".osm", ".osm.gz", ".xodr", ".xodr.gz")
 Progress = Callable[[float, str], None]
 

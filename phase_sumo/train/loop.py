@@ -11,7 +11,7 @@ import torch
 
 import phase_sumo
 from phase_sumo.config import TrainConfig, to_dict
-from phase_sumo.errors import PhaseError
+from phase_sumo.errors import Diverged, PhaseError
 from phase_sumo.evaluate.synthetic import RATES, evaluate_synthetic
 from phase_sumo.policy.build import build_network
 from phase_sumo.policy.checkpoint import Policy, save_policy
@@ -171,7 +171,7 @@ class Trainer:
         kept = filter_samples(samples, config.learn_share)
         losses = learn(self.network.train(), self.optimiser, kept, config, self.generator)
         if not all(math.isfinite(value) for value in losses.values()):
-            raise PhaseError(
+            raise Diverged(
                 f"training diverged at {self.steps} agent steps ({losses}); the last checkpoint is intact: "
                 "lower learning_rate and continue with --resume"
             )
