@@ -106,7 +106,7 @@ def _roomy(maps: list[MapBundle], slots: int) -> list[MapBundle]:
 
 def _timed_parts(env: Environment) -> dict[str, float]:
     """CPU seconds of the parts of all steps of ``env`` from now on; they grow as it steps."""
-    spent = dict.fromkeys(("advance", "look", "resample"), 0.0)
+    spent: dict[str, float] = {"advance": 0.0, "look": 0.0, "resample": 0.0}
 
     def timed(part: str, work: Callable[..., Result]) -> Callable[..., Result]:
         def run(*args: Any) -> Result:

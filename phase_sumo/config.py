@@ -7,6 +7,8 @@ All values are SI: metres, seconds, radians.
 from __future__ import annotations
 
 import dataclasses
+import math
+import types
 import typing
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -27,8 +29,41 @@ class ActionConfig:
     prior_steering_rate: float = 0.03  # sigma of the prior's steering rate, rad/s, choice
 
     @property
+    def axes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        return self.jerk, self.steering_rate
+
+    @property
+    def prior(self) -> tuple[float, float]:
+        """Standard deviations of the prior along the axes."""
+        return self.prior_jerk, self.prior_steering_rate
+
+    @property
     def count(self) -> int:
         return len(self.jerk) * len(self.steering_rate)
+
+
+@dataclass(frozen=True)
+class DirectActionConfig:
+    """Acceleration x steering-angle lattice of the GPUDrive baseline (Cornelisse et al. 2025)."""
+
+    accel: tuple[float, ...] = tuple(round(4.0 * k / 3, 6) for k in range(-3, 4))  # m/s^2
+    steer: tuple[float, ...] = tuple(round(math.pi * k / 6, 6) for k in range(-6, 7))  # rad
+
+    @property
+    def axes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        return self.accel, self.steer
+
+    @property
+    def prior(self) -> tuple[float, float]:
+        """The uniform one: KL to it is the entropy bonus but for a constant."""
+        return math.inf, math.inf
+
+    @property
+    def count(self) -> int:
+        return len(self.accel) * len(self.steer)
+
+
+Actions = ActionConfig | DirectActionConfig
 
 
 @dataclass(frozen=True)
@@ -38,6 +73,7 @@ class SimConfig:
     dt: float = 0.1
     horizon: int = 91  # steps of an episode (GPUDrive's)
     goal_radius: float = 2.0  # m, swept between two positions
+    early_termination: bool = True  # of agents that have their goal behind them
     max_speed: float = 40.0  # m/s
     accel_bounds: tuple[float, float] = (-8.0, 4.0)  # m/s^2, cars, choice
     truck_accel_bounds: tuple[float, float] = (-6.0, 1.8)  # m/s^2, choice
@@ -59,6 +95,7 @@ class RewardConfig:
     goal: float = 3.3  # w_g
     lane: float = 0.005  # w_l
     collision: float = 1.0  # w_f
+    at_fault_only: bool = True  # only the agent at fault pays for a collision
     road_edge: float = 0.9  # w_e
     termination: float = 8.3  # w_t
     alignment: float = 0.09  # w_a
@@ -127,20 +164,34 @@ class NetworkConfig:
 
 
 @dataclass(frozen=True)
+class LateFusionConfig:
+    """The GPUDrive baseline's network (Cornelisse et al. 2025): 51,228 parameters on its own features."""
+
+    embedding: int = 64  # of ego, and of every partner and road point
+    hidden: int = 128  # of all three together
+    dropout: float = 0.01
+
+
+Network = NetworkConfig | LateFusionConfig
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """Self-play training (paper: Training); values the paper leaves open follow PPO practice."""
 
     sim: SimConfig = SimConfig()
-    actions: ActionConfig = ActionConfig()
+    actions: Actions = ActionConfig()
     reward: RewardConfig = RewardConfig()
     scenarios: ScenarioConfig = ScenarioConfig(agent_scale=0.25)
-    network: NetworkConfig = NetworkConfig()
+    network: Network = NetworkConfig()
     worlds: int = 72
     slots: int = 48  # agent slots per world
     total_steps: int = 11_000_000  # agent steps
     rollout: int = 16  # steps per world and update
     minibatch: int = 1024
-    learning_rate: float = 1e-3  # annealed linearly to a tenth
+    epochs: int = 1
+    learning_rate: float = 1e-3
+    final_learning_rate: float = 0.1  # share of it that is left at the end, after a linear decline
     gamma: float = 0.98
     gae_lambda: float = 0.95
     clip: float = 0.2  # epsilon
@@ -153,25 +204,73 @@ class TrainConfig:
     learn_share: float = 0.5  # of the samples, those with the largest |advantage|, are learnt from
     curriculum: tuple[float, float] = (0.3, 0.8)  # shares of training at which rho starts and ends
     bf16: bool = True  # matrix products of the network
+    compiled: bool = True  # worlds step through torch.compile, if there is a C++ compiler
     held_out_every: int = 1_000_000  # agent steps between evaluations on the held-out maps
     checkpoint_every: int = 500_000  # agent steps
     seed: int = 0
 
 
 def preset(name: str) -> TrainConfig:
-    """A named training configuration; the ablations are the paper's Table main_ablation."""
-    phase = TrainConfig()
+    """A named training configuration; ablations and baselines are the paper's Table main_ablation."""
+    phase, baseline = TrainConfig(), _gpudrive()
     presets = {
         "phase": phase,
         "no-dclamp": dataclasses.replace(phase, dclamp_alpha=1.0),
         "no-reweighting": dataclasses.replace(phase, reweight=False),
         # rho never leaves 0: dense progress reward, early penalties and early scenarios throughout
         "no-curriculum": dataclasses.replace(phase, curriculum=(2.0, 3.0)),
-        "smoke": dataclasses.replace(phase, worlds=16, slots=16, total_steps=40_000, minibatch=1024),
+        "gpudrive": baseline,
+        # our network and our lattice under its uniform prior, all else the baseline's
+        "gpudrive-same-model": dataclasses.replace(
+            baseline, network=NetworkConfig(), actions=ActionConfig(prior_jerk=1e6, prior_steering_rate=1e6)
+        ),
+        "smoke": dataclasses.replace(
+            phase, worlds=16, slots=16, total_steps=40_000, minibatch=1024, compiled=False
+        ),
     }
     if name not in presets:
         raise PhaseError(f"there is no preset {name!r}; choose one of: {', '.join(presets)}")
     return presets[name]
+
+
+def _gpudrive() -> TrainConfig:
+    """The prior self-play baseline (Cornelisse et al. 2025) in our worlds: plain PPO with its settings.
+
+    Its three rewards are ours with all other weights 0: goals of any quality count in full, penalties do
+    not grow, and both agents pay for a collision. So rho moves the scenarios alone, which stay the same as
+    in all other trainings.
+    """
+    reward = RewardConfig(
+        goal=1.0,
+        collision=0.75,
+        at_fault_only=False,
+        road_edge=0.75,
+        lane=0.0,
+        termination=0.0,
+        alignment=0.0,
+        speed=0.0,
+        progress=0.0,
+        penalty_growth=1.0,
+        goal_speed_tolerance=SimConfig().max_speed,
+        goal_yaw_tolerance=math.pi,
+    )
+    return TrainConfig(
+        sim=SimConfig(early_termination=False),
+        actions=DirectActionConfig(),
+        reward=reward,
+        network=LateFusionConfig(),
+        rollout=91,  # of 72 worlds: about its batch of 131,072
+        minibatch=8192,
+        epochs=4,
+        learning_rate=3e-4,
+        final_learning_rate=1.0,
+        gamma=0.99,
+        dclamp_alpha=1.0,
+        value_weight=0.3,
+        prior_weight=1e-4,  # of the entropy
+        reweight=False,
+        learn_share=1.0,
+    )
 
 
 def to_dict(config: Any) -> dict[str, Any]:
@@ -182,17 +281,20 @@ def to_dict(config: Any) -> dict[str, Any]:
 def from_dict(cls: type[C], data: dict[str, Any]) -> C:
     """Inverse of `to_dict`; unknown keys and wrong shapes are refused by name."""
     hints = typing.get_type_hints(cls)
-    known = {f.name for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
-    unknown = sorted(set(data) - known)
+    unknown = sorted(set(data) - set(hints))
     if unknown:
-        raise PhaseError(f"{cls.__name__} has no setting {unknown[0]!r}; known: {', '.join(sorted(known))}")
-    return cls(**{key: _restore(hints[key], value) for key, value in data.items()})
+        raise PhaseError(f"{cls.__name__} has no setting {unknown[0]!r}; known: {', '.join(sorted(hints))}")
+    return cls(**{key: restore(hints[key], value) for key, value in data.items()})
 
 
-def _restore(hint: Any, value: Any) -> Any:
+def restore(hint: Any, value: Any) -> Any:
+    """A value of an annotated type from JSON types; a union's first config with all the settings is meant."""
+    if isinstance(hint, types.UnionType):
+        members = typing.get_args(hint)
+        hint = next((m for m in members if set(value) <= set(typing.get_type_hints(m))), members[0])
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         return from_dict(hint, value)
     if typing.get_origin(hint) is tuple:
         inner = typing.get_args(hint)[0]
-        return tuple(_restore(inner, item) for item in value)
+        return tuple(restore(inner, item) for item in value)
     return value

@@ -9,3 +9,7 @@ class PhaseError(Exception):
     The command line prints it as one line and exits with status 2; everything else that escapes is a
     defect of ours and keeps its traceback under ``--debug``.
     """
+
+
+class Diverged(PhaseError):
+    """Training left the finite numbers."""

@@ -13,7 +13,7 @@ from phase_sumo.bridge.goals import GoalPlanner
 from phase_sumo.bridge.road import Road
 from phase_sumo.bridge.route import RouteLanes
 from phase_sumo.bridge.table import VehicleTable
-from phase_sumo.config import ActionConfig, SimConfig
+from phase_sumo.config import Actions, SimConfig
 from phase_sumo.sim import kinematics
 from phase_sumo.sim.observation import Observation, appearance, observe
 
@@ -23,8 +23,11 @@ SAME_WAY = 0.5  # cosine of the heading difference up to which another vehicle i
 class Driver(Protocol):
     """What drives: `phase_sumo.policy.checkpoint.Policy`, or a stand-in in tests."""
 
-    sim: SimConfig
-    actions: ActionConfig
+    @property
+    def sim(self) -> SimConfig: ...
+
+    @property
+    def actions(self) -> Actions: ...
 
     def act(self, observation: Observation, generator: torch.Generator | None = None) -> Tensor:
         """Action tokens [A] of the observing agents."""
@@ -96,8 +99,8 @@ class Controller:
         others = every.map(lambda values: values[0, index])
         cell = self._road.map.cell(self._map_index, state.x.unsqueeze(0), state.y.unsqueeze(0)).squeeze(0)
         seen = observe(shape, state, task, others, mask, self._road.map, cell, driver.sim)
-        jerk, steering_rate = kinematics.command(driver.act(seen), task.alpha, driver.actions)
-        table.take(kinematics.advance(shape, state, jerk, steering_rate, driver.sim), rows)
+        jerk, rate = kinematics.command(driver.act(seen), state, task.alpha, driver.actions, driver.sim.dt)
+        table.take(kinematics.advance(shape, state, jerk, rate, driver.sim), rows)
         self.cpu += clock.process_time() - begin
         self.decisions += len(rows)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -37,32 +38,60 @@ def train(args: argparse.Namespace) -> Any:
 
     from phase_sumo.config import preset
     from phase_sumo.policy.checkpoint import load_policy
-    from phase_sumo.train import tensorboard
+    from phase_sumo.train import distributed, tensorboard
     from phase_sumo.train.loop import Trainer
     from phase_sumo.train.run_folder import RunFolder
 
+    device = distributed.start()
+    first = distributed.rank() == 0
     folder = RunFolder(args.run)
     config = folder.config() if args.resume else replace(preset(args.preset), seed=args.seed)
     if args.steps:
         config = replace(config, total_steps=args.steps)
-    maps = load_maps(args.networks, folder.path / "maps")
-    held_out = load_maps(args.held_out, folder.path / "maps") if args.held_out else []
+    with distributed.first_before_others():  # converts, and the others read
+        maps = load_maps(args.networks, folder.path / "maps")
+        held_out = load_maps(args.held_out, folder.path / "maps") if args.held_out else []
     start = load_policy(args.start_from) if args.start_from else None
-    trainer = Trainer(config, maps, held_out, folder, args.resume, start)
-    if not tensorboard.installed():
+    trainer = Trainer(config, maps, held_out, folder, args.resume, start, device)
+    if first and not tensorboard.installed():
         print("curves in TensorBoard: pip install 'phase-sumo[tensorboard]'", file=sys.stderr)
-    with (
-        stop_signals() as stopping,
-        train_view(str(folder.path), trainer.steps, config.total_steps, stopping) as show,
-    ):
-        trainer.run(show, stopping)
-        stopped = stopping()
-    last = trainer.curve.last
-    memory = f", peak memory {last['peak_memory_mb']:,.0f} MB" if "peak_memory_mb" in last else ""
-    print(f"{trainer.steps} agent steps{memory}, policy in {folder.policy}")
+    try:
+        with stop_signals() as stopping, ExitStack() as stack:
+            view = train_view(str(folder.path), trainer.steps, config.total_steps, stopping)
+            trainer.run(stack.enter_context(view) if first else None, stopping)
+            stopped = stopping()
+    finally:
+        distributed.stop()
+    last = trainer.last
+    if first:
+        memory = f", peak memory {last['peak_memory_mb']:,.0f} MB" if "peak_memory_mb" in last else ""
+        print(f"{trainer.steps} agent steps{memory}, policy in {folder.policy}")
+    else:
+        args.json = None  # the first process writes it
     if stopped:
         raise KeyboardInterrupt
     return {**last, "agent_steps": trainer.steps, "policy": str(folder.policy)}
+
+
+def tune(args: argparse.Namespace) -> Any:
+    from dataclasses import replace
+
+    from phase_sumo.config import preset
+    from phase_sumo.train import tune as study
+
+    folder, config = Path(args.run), replace(preset(args.preset), seed=args.seed, total_steps=args.steps)
+    table = Path(args.table)
+    study.read_table(table, config)  # a bad one is found before networks are converted
+    maps, held_out = (load_maps(paths, folder / "maps") for paths in (args.networks, args.held_out))
+    with progress_bar("tune") as progress:
+        result = study.tune(folder, config, maps, held_out, args.trials, table, progress)
+    print(
+        f"{result['trials']} trials, {result['pruned']} of them pruned; goal rate {result['goal_rate']:.3f}:"
+    )
+    for setting, value in result["settings"].items():
+        print(f"{setting:>30}: {value:.4g}")
+    print(f"policy in {result['policy']}")
+    return result
 
 
 def evaluate(args: argparse.Namespace) -> Any:

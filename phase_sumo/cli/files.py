@@ -15,6 +15,7 @@ from phase_sumo.errors import PhaseError
 CLONE = Path(phase_sumo.__file__).resolve().parent.parent
 DEMO = CLONE / "scenarios" / "merge" / "merge.sumocfg"
 HELD_OUT = CLONE / "networks" / "held_out"
+TUNE_TABLE = Path(phase_sumo.__file__).parent / "train" / "tune.csv"
 NETWORKS = (".net.xml", ".net.xml.gz", ".osm", ".osm.gz", ".xodr", ".xodr.gz")
 Progress = Callable[[float, str], None]
 
@@ -74,7 +75,7 @@ def write_json(path: Path, result: Any) -> None:
 
 
 @contextmanager
-def progress_bar(title: str) -> Iterator[Progress]:
+def progress_bar(title: str, show: bool = True) -> Iterator[Progress]:
     """A progress bar on stderr, gone when done; nothing where there is no terminal to draw on."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -86,6 +87,8 @@ def progress_bar(title: str) -> Iterator[Progress]:
         TextColumn("{task.description}"),
     )
     console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(
+        *columns, console=console, transient=True, disable=not (show and console.is_terminal)
+    ) as bar:
         task = bar.add_task("", total=1.0, title=title)
         yield lambda share, text: bar.update(task, completed=share, description=text)

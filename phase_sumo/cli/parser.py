@@ -8,7 +8,7 @@ from typing import Any
 
 import phase_sumo
 from phase_sumo.cli import commands
-from phase_sumo.cli.files import DEMO
+from phase_sumo.cli.files import DEMO, TUNE_TABLE
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -66,11 +66,28 @@ def make_parser() -> argparse.ArgumentParser:
     )
     sub.add_argument("--run", required=True, metavar="DIR", help="folder of the run")
     sub.add_argument(
-        "--preset", default="phase", help="phase, no-dclamp, no-reweighting, no-curriculum or smoke"
+        "--preset",
+        default="phase",
+        help="phase, no-dclamp, no-reweighting, no-curriculum, gpudrive, gpudrive-same-model or smoke",
     )
     sub.add_argument("--steps", type=int, help="agent steps of the whole training; the preset's if left out")
     sub.add_argument("--resume", action="store_true", help="continue the run in --run")
     sub.add_argument("--start-from", metavar="POLICY", help="begin with the weights of this policy")
+
+    sub = add("tune", commands.tune, "search training settings for the best held-out goal rate (Optuna)")
+    sub.add_argument(
+        "--networks", nargs="+", required=True, metavar="PATH", help=".npz, .net.xml, or folders of them"
+    )
+    sub.add_argument(
+        "--held-out", nargs="+", required=True, metavar="PATH", help="networks that trials are judged on"
+    )
+    sub.add_argument(
+        "--run", required=True, metavar="DIR", help="folder of the study; trials join what is there"
+    )
+    sub.add_argument("--preset", default="phase", help="the training that is varied")
+    sub.add_argument("--steps", type=int, default=1_000_000, help="agent steps of each trial")
+    sub.add_argument("--trials", type=int, default=20, help="how many this process adds to the study")
+    sub.add_argument("--table", default=str(TUNE_TABLE), metavar="CSV", help="settings and their ranges")
 
     sub = add("evaluate", commands.evaluate, "goal, collision and road-edge rates of a policy")
     sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")

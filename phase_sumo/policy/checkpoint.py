@@ -13,9 +13,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from phase_sumo.config import ActionConfig, NetworkConfig, SimConfig, from_dict, to_dict
+from phase_sumo.config import Actions, Network, SimConfig, from_dict, restore, to_dict
 from phase_sumo.errors import PhaseError
-from phase_sumo.policy.network import PolicyNetwork
+from phase_sumo.policy.build import build_network
+from phase_sumo.policy.network import ActorCritic
 from phase_sumo.sim.observation import LAYOUT, Observation
 
 FORMAT = "phase_sumo policy 1"
@@ -32,10 +33,10 @@ class Policy:
         info: facts about its training (agent steps, networks, version).
     """
 
-    network: PolicyNetwork
+    network: ActorCritic
     sim: SimConfig
-    actions: ActionConfig
-    network_config: NetworkConfig
+    actions: Actions
+    network_config: Network
     info: dict[str, Any]
 
     @torch.no_grad()
@@ -96,9 +97,9 @@ def load_policy(path: str | Path | None = None, device: torch.device | str = "cp
     if header.get("format") != FORMAT:
         raise PhaseError(f"{path}: format {header.get('format')!r}, expected {FORMAT!r}; retrain the policy")
     _check_layout(path, json.loads(header["layout"]))
-    actions = from_dict(ActionConfig, json.loads(header["actions"]))
-    network_config = from_dict(NetworkConfig, json.loads(header["network"]))
-    network = PolicyNetwork(network_config, actions).to(device).eval()
+    actions = restore(Actions, json.loads(header["actions"]))
+    network_config = restore(Network, json.loads(header["network"]))
+    network = build_network(network_config, actions).to(device).eval()
     network.load_state_dict(weights)
     sim = from_dict(SimConfig, json.loads(header["sim"]))
     return Policy(network, sim, actions, network_config, json.loads(header["info"]))

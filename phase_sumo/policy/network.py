@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from phase_sumo.config import ActionConfig, NetworkConfig
+from phase_sumo.config import Actions, NetworkConfig
 from phase_sumo.sim.observation import CONTEXT, EGO, PARTNER, ROAD, Observation
 
 
@@ -78,11 +78,27 @@ def softmax_with_zero(score: Tensor, mask: Tensor) -> Tensor:
     return torch.softmax(F.pad(score, (0, 1)), -1)[..., :-1]
 
 
-class PolicyNetwork(nn.Module):
-    """Observation of one agent to action logits and a (normalised) value (paper: Fig. network)."""
+class ActorCritic(nn.Module):
+    """Observation of one agent to action logits and a (normalised) value; the first policy is the prior."""
 
-    def __init__(self, config: NetworkConfig, actions: ActionConfig) -> None:
+    log_prior: Tensor
+
+    def __init__(self, actions: Actions) -> None:
         super().__init__()
+        self.register_buffer("log_prior", log_prior(actions), persistent=False)
+
+    def start_from_prior(self, last: nn.Linear) -> None:
+        """Let the last layer give the prior's logits: smooth driving from the first step, and KL 0."""
+        with torch.no_grad():
+            last.weight.mul_(0.01)
+            last.bias.copy_(self.log_prior)
+
+
+class PolicyNetwork(ActorCritic):
+    """The network of PHASE (paper: Fig. network)."""
+
+    def __init__(self, config: NetworkConfig, actions: Actions) -> None:
+        super().__init__(actions)
         d = config.width
         self.ego = encoder(len(EGO), d)
         self.partner = encoder(len(PARTNER), d)
@@ -94,17 +110,9 @@ class PolicyNetwork(nn.Module):
         self.trunk = nn.Sequential(nn.LayerNorm(fused), nn.Linear(fused, config.trunk), nn.ReLU(inplace=True))
         self.policy = head(config.trunk, config.head, actions.count)
         self.value = head(config.trunk, config.head, 1)
-        self.log_prior: Tensor
-        self.register_buffer("log_prior", log_prior(actions), persistent=False)
-        self._start_from_prior()
-
-    def _start_from_prior(self) -> None:
-        """Begin with the prior as the policy: smooth driving from the first step, and KL 0."""
         last = self.policy[-1]
         assert isinstance(last, nn.Linear)
-        with torch.no_grad():
-            last.weight.mul_(0.01)
-            last.bias.copy_(self.log_prior)
+        self.start_from_prior(last)
 
     def forward(self, observation: Observation) -> tuple[Tensor, Tensor]:
         """Logits [B, A] and value [B] in fp32 for an observation with one leading axis B."""
@@ -128,8 +136,10 @@ def head(width: int, hidden: int, out: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(width, hidden), nn.ReLU(inplace=True), nn.Linear(hidden, out))
 
 
-def log_prior(actions: ActionConfig) -> Tensor:
+def log_prior(actions: Actions) -> Tensor:
     """log p(a) of the discrete Gaussian prior, p ~ exp(-j^2 / 2 sigma_j^2 - r^2 / 2 sigma_r^2), [A]."""
-    jerk = -0.5 * (torch.tensor(actions.jerk) / actions.prior_jerk).square()
-    rate = -0.5 * (torch.tensor(actions.steering_rate) / actions.prior_steering_rate).square()
-    return F.log_softmax((jerk[:, None] + rate[None, :]).flatten(), -1)
+    along, across = (
+        -0.5 * (torch.tensor(axis) / sigma).square()
+        for axis, sigma in zip(actions.axes, actions.prior, strict=True)
+    )
+    return F.log_softmax((along[:, None] + across[None, :]).flatten(), -1)

@@ -7,8 +7,9 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch._inductor.cpp_builder import get_cpp_compiler
 
-from phase_sumo.config import ActionConfig, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.config import ActionConfig, Actions, RewardConfig, ScenarioConfig, SimConfig
 from phase_sumo.sim import scenario
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.dimensions import truck_slots
@@ -23,12 +24,22 @@ from phase_sumo.sim.worlds import Outcome, RollingGoals, Transition, Worlds, adv
 # Steps between refills of the scenarios that finished worlds take over. The rare world that is over twice in
 # between drives the same one again.
 RESAMPLE_EVERY = 32
+# Room to brake that a new scenario leaves, m/s^3: our lattice's, so that all policies drive the same worlds.
+BRAKING_JERK = -min(ActionConfig().jerk)
 # Static shapes. Values that read up to 16 tensors may be fused into their users; with the default of 4, much
 # of the observation goes through memory. Indices are right by construction and not checked one by one.
 COMPILATION: Any = {
     "dynamic": False,
     "options": {"realize_reads_threshold": 16, "assert_indirect_indexing": False},
 }
+
+
+def can_compile() -> bool:
+    """Whether this machine has the C++ compiler that torch.compile needs on a CPU."""
+    try:
+        return bool(get_cpp_compiler())
+    except Exception:  # torch's own class for it has no public name
+        return False
 
 
 class Environment:
@@ -45,6 +56,7 @@ class Environment:
         training: perturb partner and road observations, and start the clocks of the worlds apart so that
             resets spread over time.
         rolling: agents at their goal get the next one and stay until the road or the horizon ends.
+        share: (k, n) for every n-th of the worlds only, from the k-th on; the others run elsewhere.
         compiled: step through torch.compile (about a minute to start; many times faster from then on).
 
     Attributes:
@@ -61,10 +73,11 @@ class Environment:
         sim: SimConfig,
         scenarios: ScenarioConfig,
         reward: RewardConfig,
-        actions: ActionConfig,
+        actions: Actions,
         seed: int = 0,
         device: torch.device | str = "cpu",
         training: bool = True,
+        share: tuple[int, int] = (0, 1),
         compiled: bool = False,
         rolling: bool = False,
     ) -> None:
@@ -80,13 +93,13 @@ class Environment:
         self.regimes = scenario.RegimeTable.of(
             [scenarios.regimes[r] for _, r in tuples], scenarios.agent_scale, slots, device
         )
-        turn = torch.arange(worlds, device=device)
+        turn = torch.arange(worlds, device=device)[share[0] :: share[1]]
         # fewer worlds than tuples are spread over all of them
         self.tuple_index = turn % len(tuples) if worlds >= len(tuples) else turn * len(tuples) // worlds
         self.map_index = torch.tensor([m for m, _ in tuples], device=device)[self.tuple_index]
         self.regime_index = torch.tensor([r for _, r in tuples], device=device)[self.tuple_index]
         self._places = torch.Generator().manual_seed(seed)
-        seen = ((worlds, slots, 4, sim.neighbours), (worlds, slots, 2, POINTS_PER_CELL))
+        seen = ((len(turn), slots, 4, sim.neighbours), (len(turn), slots, 2, POINTS_PER_CELL))
         self._noise = NoiseTable(seen, self._places, device) if training else None
         self._advance = torch.compile(advance, **COMPILATION) if compiled else advance
         self._look = torch.compile(look, **COMPILATION) if compiled else look
@@ -168,7 +181,7 @@ class Environment:
             self.rho >= 1.0,
             self.scenarios,
             self.sim,
-            -min(self.actions.jerk),
+            BRAKING_JERK,
             self.generator,
         )
 
@@ -192,7 +205,8 @@ class Environment:
         for name, batch in (("worlds", self.worlds), ("spare", self._spare)):
             for mine, theirs in zip(tensors(batch), stored[name], strict=True):
                 mine.copy_(theirs)
-        self._used, self._steps, self.rho = stored["used"], stored["steps"], stored["rho"]
+        self._used.copy_(stored["used"])
+        self._steps, self.rho = stored["steps"], stored["rho"]
         self.generator.set_state(stored["generator"])
         self._places.set_state(stored["places"])
         self.observation = self._observe()

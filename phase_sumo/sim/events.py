@@ -60,7 +60,7 @@ def detect(
     edge, boundary = road_contacts(box, road_map, map_index, trailers)
     return Events(
         goal=goal,
-        unrecoverable=goal_behind(after, task) & active & ~goal,
+        unrecoverable=goal_behind(after, task) & active & ~goal & config.early_termination,
         collision=collision,
         at_fault=guilty,
         road_edge=edge & active,

@@ -7,26 +7,36 @@ import math
 import torch
 from torch import Tensor
 
-from phase_sumo.config import ActionConfig, SimConfig
+from phase_sumo.config import Actions, DirectActionConfig, SimConfig
 from phase_sumo.sim.vehicles import VehicleShape, VehicleState
 
 
-def command(action: Tensor, alpha: Tensor, actions: ActionConfig) -> tuple[Tensor, Tensor]:
+def command(
+    action: Tensor, state: VehicleState, alpha: Tensor, actions: Actions, dt: float
+) -> tuple[Tensor, Tensor]:
     """Continuous command of a discrete action (paper: Action Space).
 
-    The token counts row-major over (jerk, steering rate); the longitudinal part is scaled by alpha:
-    j = alpha * J[a // n], d(steer)/dt = R[a % n].
+    The token a counts row-major over the lattice's axes, A and B with n values. On ours they are jerk and
+    steering rate, and alpha scales the longitudinal one: j = alpha A[a // n], d(steer)/dt = B[a % n].
+
+    The baseline's are acceleration and steering angle: the jerk and the rate that arrive there within this
+    step, j = (A[a // n] - accel) / dt and d(steer)/dt = (B[a % n] - steer) / dt. It knows no alpha.
 
     Args:
         action: [W, N] int64 tokens.
         alpha: [W, N] longitudinal action range.
+        dt: length of the step in s.
 
     Returns:
         jerk in m/s^3 and steering rate in rad/s, both [W, N].
     """
-    jerks, rates = (torch.tensor(v, device=action.device) for v in (actions.jerk, actions.steering_rate))
-    columns = rates.shape[0]
-    return alpha * jerks[torch.div(action, columns, rounding_mode="floor")], rates[action % columns]
+    longitudinal, lateral = (torch.tensor(axis, device=action.device) for axis in actions.axes)
+    columns = lateral.shape[0]
+    along = longitudinal[torch.div(action, columns, rounding_mode="floor")]
+    across = lateral[action % columns]
+    if isinstance(actions, DirectActionConfig):
+        return (along - state.accel) / dt, (across - state.steer) / dt
+    return alpha * along, across
 
 
 def steer_limit(shape: VehicleShape, speed: Tensor, config: SimConfig) -> Tensor:

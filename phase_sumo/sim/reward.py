@@ -46,10 +46,11 @@ def rewards(
     """
     distance = _distance(after, task)
     safe_speed = after.speed.clamp_min(sim.min_speed)
+    blamed = events.at_fault if config.at_fault_only else events.collision
     return {
         "goal": config.goal * multipliers.goal(goal_quality(after, task, config)) * events.goal,
         "lane": config.lane * (~events.lane_boundary).float(),
-        "collision": -config.collision * multipliers.penalty * events.at_fault,
+        "collision": -config.collision * multipliers.penalty * blamed,
         "road_edge": -config.road_edge * multipliers.penalty * events.road_edge,
         "termination": -config.termination
         * multipliers.penalty

@@ -35,7 +35,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from phase_sumo.config import ActionConfig, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.config import ActionConfig, Actions, RewardConfig, ScenarioConfig, SimConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim import kinematics
 from phase_sumo.sim.bundle import MapBundle, load_bundle
@@ -87,7 +87,7 @@ class HighwayVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         scenarios: ScenarioConfig | None = None,
         sim: SimConfig | None = None,
         reward: RewardConfig | None = None,
-        actions: ActionConfig | None = None,
+        actions: Actions | None = None,
         device: torch.device | str = "cpu",
         compiled: bool = False,
     ) -> None:
@@ -207,7 +207,7 @@ class HighwayVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         last = replace(
             before, **{k: v.map(pick) if isinstance(v, TensorBatch) else pick(v) for k, v in parts}
         )
-        jerk, rate = kinematics.command(pick(action), last.task.alpha, env.actions)
+        jerk, rate = kinematics.command(pick(action), last.state, last.task.alpha, env.actions, env.sim.dt)
         last.state = kinematics.advance(last.shape, last.state, jerk, rate, env.sim)
         seen = look(last, env.road_map, pick(env.map_index), None, env.sim).rows(pick(step.finished))
         rows = self._shaped(_arrays(seen))

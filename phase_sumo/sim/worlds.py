@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from phase_sumo.config import ActionConfig, RewardConfig, SimConfig
+from phase_sumo.config import Actions, RewardConfig, SimConfig
 from phase_sumo.sim import kinematics
 from phase_sumo.sim.events import detect
 from phase_sumo.sim.geometry import materialise
@@ -107,7 +107,7 @@ def advance(
     map_index: Tensor,
     sim: SimConfig,
     reward_config: RewardConfig,
-    actions: ActionConfig,
+    actions: Actions,
     trailers: int,
     rolling: RollingGoals | None = None,
 ) -> tuple[Worlds, Transition]:
@@ -121,7 +121,7 @@ def advance(
         rolling: gives agents at their goal the next one; without it they leave.
     """
     before, active, shape, task = worlds.state, worlds.active, worlds.shape, worlds.task
-    jerk, rate = kinematics.command(action, task.alpha, actions)
+    jerk, rate = kinematics.command(action, before, task.alpha, actions, sim.dt)
     after = kinematics.advance(shape, before, jerk, rate, sim).where(active, before)
     events = detect(shape, before, after, task, active, road_map, map_index, sim, trailers)
     terms = rewards(before, after, task, events, Multipliers.at(rho, reward_config), reward_config, sim)

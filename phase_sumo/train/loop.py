@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
 import torch
 
 import phase_sumo
 from phase_sumo.config import TrainConfig, to_dict
-from phase_sumo.errors import PhaseError
+from phase_sumo.errors import Diverged, PhaseError
+from phase_sumo.policy.build import build_network
 from phase_sumo.policy.checkpoint import Policy
-from phase_sumo.policy.network import PolicyNetwork
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.curriculum import curriculum_progress
-from phase_sumo.sim.environment import Environment
+from phase_sumo.sim.environment import Environment, can_compile
+from phase_sumo.train import distributed
 from phase_sumo.train.health import is_finite, peak_memory
 from phase_sumo.train.held_out import held_out_rates, is_due
 from phase_sumo.train.ppo import ValueScale, filter_samples, learn, make_samples
@@ -45,11 +47,12 @@ class Trainer:
         device: torch.device | str = "cpu",
     ) -> None:
         self.config, self.held_out, self.folder = config, held_out, folder
+        self._writes = distributed.rank() == 0
         self.names = [m.name for m in maps]
         torch.manual_seed(config.seed)
-        self.network = PolicyNetwork(config.network, config.actions).to(device)
+        self.network = build_network(config.network, config.actions).to(device)
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, eps=1e-5)
-        self.generator = torch.Generator(device=device).manual_seed(config.seed + 1)
+        self.generator = torch.Generator(device=device).manual_seed(distributed.own_seed(config.seed + 1))
         self.env = Environment(
             maps,
             config.worlds,
@@ -58,20 +61,26 @@ class Trainer:
             config.scenarios,
             config.reward,
             config.actions,
-            seed=config.seed,
+            seed=distributed.own_seed(config.seed),
             device=device,
+            compiled=config.compiled and can_compile(),
+            share=distributed.share(config.worlds),
         )
         self.scale = ValueScale()
         self.steps, self.wall = 0, 0.0
         facts = {"phase_sumo": phase_sumo.__version__, "torch": torch.__version__, "networks": self.names}
         if resume:
             self._restore(folder)
-            folder.configure(config, facts)  # a resumed run may have been given other steps
+            if self._writes:
+                folder.configure(config, facts)  # a resumed run may have been given other steps
         else:
             if start is not None:
                 self._begin_with(start)
-            folder.start(config, facts, self._checkpoint())
-        self.curve = folder.curve(self.steps)
+            checkpoint = self._checkpoint()
+            if self._writes:
+                folder.start(config, facts, checkpoint)
+        self.curve = folder.curve(self.steps) if self._writes else None
+        self.last = self.curve.last if self.curve else {}
 
     def run(
         self,
@@ -80,19 +89,23 @@ class Trainer:
     ) -> Policy:
         """Train until ``total_steps`` agent steps or ``stopping()``; a checkpoint is left either way."""
         saved = self.steps
-        with TensorBoardLog(self.folder.path, self.steps) as board:
-            while self.steps < self.config.total_steps and not stopping():
+        with ExitStack() as stack:
+            board = None
+            if self._writes:
+                board = stack.enter_context(TensorBoardLog(self.folder.path, self.steps))
+            while self.steps < self.config.total_steps and not distributed.anywhere(stopping()):
                 began = time.perf_counter()
                 row = self._update()
                 self.wall += time.perf_counter() - began
                 row = {"steps": self.steps, "wall_seconds": self.wall, **row}
-                if self.held_out and is_due(self.steps, row["agent_steps"], self.config.held_out_every):
+                if self._writes and self._held_out_due(row["agent_steps"]):
                     row |= held_out_rates(self.policy(), self.held_out, self.config)
-                row |= peak_memory(self.generator.device)
-                self.curve.add(row)
-                board.add(row)
+                self.last = row | peak_memory(self.generator.device)
+                if self.curve is not None and board is not None:
+                    self.curve.add(self.last)
+                    board.add(self.last)
                 if report is not None:
-                    report(row)
+                    report(self.last)
                 if self.steps - saved >= self.config.checkpoint_every:
                     self.save()
                     saved = self.steps
@@ -110,25 +123,30 @@ class Trainer:
             "train": to_dict(config),
         }
         # held apart from the weights in training
-        network = PolicyNetwork(config.network, config.actions)
+        network = build_network(config.network, config.actions)
         network.load_state_dict(self.network.state_dict())
         return Policy(network.eval(), config.sim, config.actions, config.network, info)
 
     def save(self) -> None:
         """Write checkpoint and policy, after the curve up to them."""
-        self.curve.sync()
-        self.folder.save(self._checkpoint(), self.policy())
+        checkpoint = self._checkpoint()
+        if self.curve is not None:
+            self.curve.sync()
+            self.folder.save(checkpoint, self.policy())
 
     def _checkpoint(self) -> dict[str, Any]:
         return {
             "network": self.network.state_dict(),
             "optimiser": self.optimiser.state_dict(),
-            "env": self.env.state_dict(),
-            "generator": self.generator.get_state(),
+            "env": distributed.gather(self.env.state_dict()),
+            "generator": distributed.gather(self.generator.get_state()),
             "scale": vars(self.scale),
             "steps": self.steps,
             "wall": self.wall,
         }
+
+    def _held_out_due(self, latest: int) -> bool:
+        return bool(self.held_out) and is_due(self.steps, latest, self.config.held_out_every)
 
     def _begin_with(self, policy: Policy) -> None:
         mine, theirs = (self.config.network, self.config.actions), (policy.network_config, policy.actions)
@@ -149,8 +167,8 @@ class Trainer:
         stored = folder.load()
         self.network.load_state_dict(stored["network"])
         self.optimiser.load_state_dict(stored["optimiser"])
-        self.env.load_state_dict(stored["env"])
-        self.generator.set_state(stored["generator"])
+        self.env.load_state_dict(distributed.own(stored["env"]))
+        self.generator.set_state(distributed.own(stored["generator"]))
         vars(self.scale).update(stored["scale"])
         self.steps, self.wall = stored["steps"], stored["wall"]
 
@@ -161,7 +179,7 @@ class Trainer:
         self.env.rho = rho
         for group in self.optimiser.param_groups:
             share = min(self.steps / max(config.total_steps, 1), 1.0)
-            group["lr"] = config.learning_rate * (1.0 - 0.9 * share)
+            group["lr"] = config.learning_rate * (1.0 - (1.0 - config.final_learning_rate) * share)
         start = time.process_time()
         rollout = collect(
             self.env,
@@ -177,7 +195,7 @@ class Trainer:
         kept = filter_samples(samples, config.learn_share)
         losses = learn(self.network.train(), self.optimiser, kept, config, self.generator)
         if not is_finite(losses, self.network):
-            raise PhaseError(
+            raise Diverged(
                 f"{self.folder.path}: training diverged at {self.steps} agent steps, {losses}; the last "
                 "checkpoint is intact: lower learning_rate in config.json there and continue with --resume"
             )

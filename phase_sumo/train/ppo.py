@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from phase_sumo.config import TrainConfig
-from phase_sumo.policy.network import PolicyNetwork
+from phase_sumo.policy.network import ActorCritic
+from phase_sumo.train import distributed
 from phase_sumo.train.rollout import Rollout, Samples, evaluate
 
 
@@ -55,7 +58,8 @@ def world_weights(active: Tensor) -> Tensor:
     """
     per_world = active.sum((0, 2), keepdim=True).clamp_min(1)
     weight = active / per_world
-    return weight * (active.sum() / weight.sum().clamp_min(1e-12))
+    count, mass = distributed.total(active.sum()), distributed.total(weight.sum())
+    return weight * (count / mass.clamp_min(1e-12))
 
 
 def dclamp_objective(ratio: Tensor, advantage: Tensor, clip: float, alpha: float, beta: float) -> Tensor:
@@ -83,8 +87,8 @@ class ValueScale:
         self.mean, self.square, self.weight = 0.0, 0.0, 0.0
 
     def update(self, returns: Tensor, decay: float = 0.98) -> None:
-        self.mean = decay * self.mean + (1 - decay) * float(returns.mean())
-        self.square = decay * self.square + (1 - decay) * float(returns.square().mean())
+        self.mean = decay * self.mean + (1 - decay) * float(distributed.mean(returns))
+        self.square = decay * self.square + (1 - decay) * float(distributed.mean(returns.square()))
         self.weight = decay * self.weight + (1 - decay)
 
     def get(self) -> tuple[float, float]:
@@ -114,8 +118,8 @@ def make_samples(rollout: Rollout, config: TrainConfig, scale: ValueScale) -> Sa
     mean, std = scale.get()
     weight = world_weights(active)[active] if config.reweight else torch.ones_like(returns)
     flat = advantage[active]
-    centre = (weight * flat).mean()
-    spread = (weight * (flat - centre).square()).mean().sqrt()
+    centre = distributed.mean(weight * flat)
+    spread = distributed.mean(weight * (flat - centre).square()).sqrt()
     first = rollout.observations[0]
     return Samples(
         observation=type(first)(
@@ -139,51 +143,78 @@ def filter_samples(samples: Samples, share: float) -> Samples:
     """
     if share >= 1.0:
         return samples
-    count = max(1, round(share * len(samples)))
-    return samples.select(samples.advantage.abs().topk(count, sorted=False).indices)
+    size = samples.advantage.abs()
+    everywhere = distributed.joint(size)
+    count = max(1, round(share * len(everywhere)))
+    least = everywhere.topk(count, sorted=False).values.min()
+    return samples.select((size >= least).nonzero().squeeze(-1))
+
+
+def minibatches(
+    samples: Samples, config: TrainConfig, generator: torch.Generator
+) -> Iterator[tuple[Tensor, int]]:
+    """Indices [B] of the samples, each once per epoch, in parts of nearly equal size.
+
+    Yields:
+        The indices, and the size of the minibatch in all processes together.
+    """
+    count, device = len(samples), samples.action.device
+    # dropout draws from the global generator: seeded by ours, a resumed run goes on exactly
+    torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator, device=device)))
+    parts = max(1, round(distributed.totals([count])[0] / config.minibatch))
+    sizes = distributed.totals([len(part) for part in torch.arange(count).tensor_split(parts)])
+    for _ in range(config.epochs):
+        order = torch.randperm(count, generator=generator, device=device)
+        yield from zip(order.tensor_split(parts), map(int, sizes), strict=True)
 
 
 def learn(
-    network: PolicyNetwork,
+    network: ActorCritic,
     optimiser: torch.optim.Optimizer,
     samples: Samples,
     config: TrainConfig,
     generator: torch.Generator,
 ) -> dict[str, float]:
-    """One epoch of minibatch updates; returns the means of the losses and diagnostics."""
-    order = torch.randperm(len(samples), generator=generator, device=samples.action.device)
-    stats: dict[str, list[float]] = {}
-    for index in order.split(config.minibatch):
-        if len(index) < config.minibatch // 4 and len(order) > config.minibatch:
-            continue  # a small remainder would make a noisy step
-        loss, parts = _loss(network, samples.select(index), config)
+    """All epochs of minibatch updates; returns the means of the losses and diagnostics."""
+    rows, norms, names = [], [], ()
+    for index, count in minibatches(samples, config, generator):
+        loss, parts = _loss(network, samples.select(index), config, count)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        parts["gradient_norm"] = torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_norm)
+        distributed.sum_gradients(network)
+        norms.append(torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_norm))
         optimiser.step()
-        for name, value in parts.items():
-            stats.setdefault(name, []).append(float(value.detach()))
-    return {name: sum(values) / len(values) for name, values in stats.items()}
+        rows.append(torch.stack([value.detach() for value in parts.values()]))
+        names = tuple(parts)
+    means = distributed.total(torch.stack(rows).mean(0)).tolist()
+    return {**dict(zip(names, means, strict=True)), "gradient_norm": float(torch.stack(norms).mean())}
 
 
-def _loss(network: PolicyNetwork, batch: Samples, config: TrainConfig) -> tuple[Tensor, dict[str, Tensor]]:
+def _loss(
+    network: ActorCritic, batch: Samples, config: TrainConfig, count: int
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Loss and diagnostics of a minibatch: this process's terms of means over all ``count`` samples."""
+
+    def mean(values: Tensor) -> Tensor:
+        return values.sum() / count
+
     logits, value = evaluate(network, batch.observation, config.bf16)
     log_probs = logits.log_softmax(-1)
     log_prob = log_probs.gather(-1, batch.action.unsqueeze(-1)).squeeze(-1)
     log_ratio = log_prob - batch.log_prob
     ratio = log_ratio.exp()
     objective = dclamp_objective(ratio, batch.advantage, config.clip, config.dclamp_alpha, config.dclamp_beta)
-    policy_loss = -(batch.weight * objective).mean()
-    value_loss = (batch.weight * F.huber_loss(value, batch.value_target, reduction="none", delta=10.0)).mean()
-    kl = prior_kl(log_probs, network.log_prior)
-    loss = policy_loss + config.value_weight * value_loss + config.prior_weight * kl.mean()
+    policy_loss = -mean(batch.weight * objective)
+    value_loss = mean(batch.weight * F.huber_loss(value, batch.value_target, reduction="none", delta=10.0))
+    kl = mean(prior_kl(log_probs, network.log_prior))
+    loss = policy_loss + config.value_weight * value_loss + config.prior_weight * kl
     with torch.no_grad():
         parts = {
             "policy_loss": policy_loss,
             "value_loss": value_loss,
-            "prior_kl": kl.mean(),
-            "entropy": -(log_probs.exp() * log_probs).sum(-1).mean(),
-            "approx_kl": ((ratio - 1.0) - log_ratio).mean(),
-            "clip_fraction": ((ratio - 1.0).abs() > config.clip).float().mean(),
+            "prior_kl": kl,
+            "entropy": -mean((log_probs.exp() * log_probs).sum(-1)),
+            "approx_kl": mean((ratio - 1.0) - log_ratio),
+            "clip_fraction": mean(((ratio - 1.0).abs() > config.clip).float()),
         }
     return loss, parts

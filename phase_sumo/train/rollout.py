@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from phase_sumo.policy.network import PolicyNetwork
+from phase_sumo.policy.network import ActorCritic
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.observation import Observation
+from phase_sumo.train import distributed
 
 
 @dataclass
@@ -54,6 +55,13 @@ class Counts:
     steps: int = 0
     terms: dict[str, float] = field(default_factory=dict)
 
+    def everywhere(self) -> Counts:
+        """Those of all processes together; the terms' means are averaged."""
+        shares = [self.finished, self.goal, self.collision, self.at_fault, self.road_edge, self.success]
+        *shares, steps = distributed.totals([*shares, self.steps])
+        terms = distributed.totals([term / distributed.size() for term in self.terms.values()])
+        return Counts(*shares, steps=int(steps), terms=dict(zip(self.terms, terms, strict=True)))
+
     def rates(self) -> dict[str, float]:
         """Shares of the finished agents."""
         total = max(self.finished, 1.0)
@@ -86,7 +94,7 @@ class Rollout:
 @torch.no_grad()
 def collect(
     env: Environment,
-    network: PolicyNetwork,
+    network: ActorCritic,
     steps: int,
     gamma: float,
     value_scale: tuple[float, float],
@@ -128,11 +136,16 @@ def collect(
     last = evaluate(network, env.observation.rows(active), bf16)[1] * std + mean
     stacked = {name: torch.stack(parts) for name, parts in columns.items()}
     return Rollout(
-        observations, actions, log_probs, **stacked, last_value=scatter(last, active), counts=counts
+        observations,
+        actions,
+        log_probs,
+        **stacked,
+        last_value=scatter(last, active),
+        counts=counts.everywhere(),
     )
 
 
-def evaluate(network: PolicyNetwork, observation: Observation, bf16: bool) -> tuple[Tensor, Tensor]:
+def evaluate(network: ActorCritic, observation: Observation, bf16: bool) -> tuple[Tensor, Tensor]:
     """The network with its matrix products in bf16 or not; outputs are fp32."""
     with torch.autocast(observation.ego.device.type, torch.bfloat16, enabled=bf16):
         return network(observation)

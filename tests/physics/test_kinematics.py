@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from phase_sumo.config import ActionConfig, SimConfig
+from phase_sumo.config import ActionConfig, DirectActionConfig, SimConfig
 from phase_sumo.sim.kinematics import advance, command, steer_limit
 from tests.factories import car_shape, truck_shape, vehicle_state
 from tests.physics.oracle import NAMES, integrate
@@ -191,14 +191,29 @@ def test_a_standing_vehicle_stays_and_stores_no_deceleration():
 def test_command_decodes_the_lattice_and_alpha_scales_only_the_jerk():
     actions = ActionConfig()
     tokens = torch.arange(actions.count).unsqueeze(0)
-    full = command(tokens, torch.ones(1, actions.count), actions)
-    half = command(tokens, torch.full((1, actions.count), 0.5), actions)
+    state = vehicle_state(speed=10.0, count=actions.count)
+    full = command(tokens, state, torch.ones(1, actions.count), actions, SIM.dt)
+    half = command(tokens, state, torch.full((1, actions.count), 0.5), actions, SIM.dt)
     pairs = {
         (round(j, 4), round(r, 4)) for j, r in zip(full[0][0].tolist(), full[1][0].tolist(), strict=True)
     }
     assert len(pairs) == len(actions.jerk) * len(actions.steering_rate)
     torch.testing.assert_close(half[0], 0.5 * full[0])
     torch.testing.assert_close(half[1], full[1])
+
+
+def test_the_baselines_lattice_sets_acceleration_and_steering_angle_at_once():
+    actions = DirectActionConfig()
+    tokens = torch.arange(actions.count).unsqueeze(0)
+    state = vehicle_state(speed=2.0, steer=0.2, count=actions.count)
+    jerk, rate = command(tokens, state, torch.full(tokens.shape, 0.1), actions, SIM.dt)
+    after = advance(car_shape(actions.count), state, jerk, rate, SIM)
+    accel, steer = torch.meshgrid(*map(torch.tensor, actions.axes), indexing="ij")
+    torch.testing.assert_close(after.accel, accel.reshape(1, -1))
+    wanted = steer.reshape(1, -1).clamp(-SIM.max_steer, SIM.max_steer)  # the wheel's stop
+    torch.testing.assert_close(after.steer, wanted)
+    coarsest = min(angle for angle in actions.steer if angle > 0)
+    assert (actions.count, len(actions.accel)) == (91, 7) and coarsest == pytest.approx(0.524, abs=1e-3)
 
 
 def _follow_circle(radius: float, speed: float, shape, laps: float) -> tuple[float, float]:

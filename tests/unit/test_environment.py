@@ -114,6 +114,14 @@ def test_episodes_end_by_goal_unrecoverable_or_time_and_worlds_start_again(strai
     assert env.worlds.active.any(-1).all()
 
 
+def test_without_early_termination_only_goal_and_time_end_an_episode(straight_map):
+    env = make(straight_map)
+    env.sim = SimConfig(early_termination=False)
+    for _ in range(SimConfig().horizon):
+        step = env.step(coast(env))
+        assert not (step.terminated & ~step.outcome.goal).any()
+
+
 def test_a_batch_of_worlds_equals_the_worlds_one_by_one(straight_map):
     """Worlds do not touch each other: blanking all but one leaves that one's future unchanged."""
     for w in range(6):

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
 import pytest
 import torch
 
-from phase_sumo.config import ActionConfig
+from phase_sumo.config import ActionConfig, DirectActionConfig, preset
 from phase_sumo.policy.network import log_prior
 from phase_sumo.sim.observation import Observation
-from phase_sumo.train.ppo import ValueScale, dclamp_objective, filter_samples, gae, prior_kl, world_weights
+from phase_sumo.train.ppo import (
+    ValueScale,
+    dclamp_objective,
+    filter_samples,
+    gae,
+    minibatches,
+    prior_kl,
+    world_weights,
+)
 from phase_sumo.train.rollout import Samples
 
 
@@ -102,11 +113,35 @@ def test_prior_is_a_discrete_gaussian_centred_at_zero_and_the_kl_is_zero_on_it()
     assert prior_kl(uniform, prior).item() > 0.1
 
 
+def test_kl_to_the_uniform_prior_is_the_entropy_bonus():
+    prior = log_prior(DirectActionConfig())
+    assert len(prior) == 91
+    policy = torch.randn(5, 91, generator=torch.Generator().manual_seed(0)).log_softmax(-1)
+    entropy = -(policy.exp() * policy).sum(-1)
+    torch.testing.assert_close(prior_kl(policy, prior), math.log(91) - entropy)
+
+
+def numbered(advantage: torch.Tensor) -> Samples:
+    """Samples that carry their number."""
+    rows = torch.arange(float(len(advantage)))
+    seen = Observation(*(rows.unsqueeze(-1) for _ in range(6)))
+    return Samples(seen, rows.long(), rows, advantage, rows, rows)
+
+
+@pytest.mark.parametrize(("count", "parts"), [(10, 1), (64, 1), (95, 1), (97, 2), (1000, 16)])
+def test_every_epoch_visits_every_sample_once_in_parts_of_equal_size(count: int, parts: int):
+    config = dataclasses.replace(preset("smoke"), minibatch=64, epochs=3)
+    found = list(minibatches(numbered(torch.zeros(count)), config, torch.Generator().manual_seed(0)))
+    batches = [index for index, _ in found]
+    assert len(batches) == 3 * parts and all(len(index) == size for index, size in found)
+    assert max(map(len, batches)) - min(map(len, batches)) <= 1
+    for epoch in range(3):
+        visited = torch.cat(batches[epoch * parts : (epoch + 1) * parts])
+        assert visited.sort().values.tolist() == list(range(count))
+
+
 def test_filter_keeps_the_samples_with_the_largest_advantages():
-    advantage = torch.tensor([0.1, -3.0, 0.5, 2.0, -0.2, 0.0])
-    rows = torch.arange(6.0)
-    seen = Observation(*(rows.view(6, 1) for _ in range(6)))
-    samples = Samples(seen, rows.long(), rows, advantage, rows, rows)
+    samples = numbered(torch.tensor([0.1, -3.0, 0.5, 2.0, -0.2, 0.0]))
     kept = filter_samples(samples, 0.5)
     assert sorted(kept.advantage.tolist()) == [-3.0, 0.5, 2.0]
     assert kept.observation.ego.flatten().tolist() == kept.log_prob.tolist()

@@ -8,7 +8,7 @@ import math
 import pytest
 import torch
 
-from phase_sumo.config import RewardConfig, SimConfig
+from phase_sumo.config import RewardConfig, SimConfig, preset
 from phase_sumo.sim.curriculum import curriculum_progress
 from phase_sumo.sim.events import Events
 from phase_sumo.sim.reward import Multipliers, alignment, goal_quality, progress, rewards
@@ -46,6 +46,19 @@ def test_penalties_grow_with_the_curriculum_and_fall_on_the_culprit_only():
     assert terms(at_fault=True, rho=1.0)["collision"] == pytest.approx(-2.69)
     assert terms(road_edge=True)["road_edge"] == pytest.approx(-0.9)
     assert terms(road_edge=True, rho=0.5)["road_edge"] == pytest.approx(-0.9 * 1.845)
+
+
+@pytest.mark.parametrize("rho", [0.0, 1.0])
+def test_the_baseline_knows_goal_collision_and_road_edge_only(rho: float):
+    config = preset("gpudrive").reward
+    worst = vehicle_state(x=99.0, speed=0.0, yaw=3.0)
+    happened = dict.fromkeys(("goal", "collision", "road_edge", "unrecoverable"), True)
+    found = terms(config, rho, after=worst, **happened)
+    assert {name: value for name, value in found.items() if value} == {
+        "goal": 1.0,
+        "collision": -0.75,
+        "road_edge": -0.75,
+    }
 
 
 def test_termination_costs_the_distance_left():

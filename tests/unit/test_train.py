@@ -48,14 +48,27 @@ def test_a_run_leaves_config_curve_checkpoint_and_policy(straight_map, tmp_path)
     assert load_policy(tmp_path / "run" / "policy.safetensors").info["agent_steps"] == trainer.steps
 
 
-def test_a_stopped_run_continues_bit_for_bit(straight_map, tmp_path):
-    whole = Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "whole"))
+BASELINE = dataclasses.replace(
+    preset("gpudrive"),
+    compiled=False,
+    worlds=8,
+    slots=8,
+    rollout=16,
+    minibatch=256,
+    epochs=2,
+    total_steps=2500,
+)
+
+
+@pytest.mark.parametrize("config", [TINY, BASELINE], ids=["phase", "gpudrive"])
+def test_a_stopped_run_continues_bit_for_bit(straight_map, tmp_path, config: TrainConfig):
+    whole = Trainer(config, [straight_map], [], RunFolder(tmp_path / "whole"))
     whole.run()
-    first = Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "parts"))
+    first = Trainer(config, [straight_map], [], RunFolder(tmp_path / "parts"))
     updates: list[dict[str, float]] = []
     first.run(updates.append, stopping=lambda: len(updates) == 2)
-    assert first.steps < TINY.total_steps
-    second = Trainer(TINY, [straight_map], [], RunFolder(tmp_path / "parts"), resume=True)
+    assert first.steps < config.total_steps
+    second = Trainer(config, [straight_map], [], RunFolder(tmp_path / "parts"), resume=True)
     second.run()
     assert second.steps == whole.steps
     for a, b in zip(weights(whole), weights(second), strict=True):
@@ -112,7 +125,9 @@ def test_divergence_stops_with_the_last_checkpoint_intact(straight_map, tmp_path
 
 @pytest.mark.parametrize(("worlds", "slots"), [(72, 48), (24, 192)])
 def test_a_checkpoint_is_small(straight_map, tmp_path, worlds: int, slots: int):
-    config = dataclasses.replace(preset("phase"), worlds=worlds, slots=slots, rollout=1, total_steps=1)
+    config = dataclasses.replace(
+        preset("phase"), compiled=False, worlds=worlds, slots=slots, rollout=1, total_steps=1
+    )
     Trainer(config, [straight_map], [], RunFolder(tmp_path)).run()
     assert (tmp_path / "checkpoint.pt").stat().st_size < 10e6
 
@@ -138,12 +153,22 @@ def test_presets_differ_in_what_they_ablate():
     phase = preset("phase")
     assert preset("no-dclamp") == dataclasses.replace(phase, dclamp_alpha=1.0)
     assert preset("no-reweighting") == dataclasses.replace(phase, reweight=False)
+    assert preset("no-curriculum") == dataclasses.replace(phase, curriculum=(2.0, 3.0))
+    baseline, same_model = preset("gpudrive"), preset("gpudrive-same-model")
+    assert same_model.network == phase.network and same_model.actions.axes == phase.actions.axes
+    model = {"network": baseline.network, "actions": baseline.actions}
+    assert dataclasses.replace(same_model, **model) == baseline
+    assert baseline.scenarios == phase.scenarios and baseline.curriculum == phase.curriculum
     with pytest.raises(PhaseError, match="no preset 'fast'"):
         preset("fast")
 
 
-def test_config_round_trip_and_unknown_keys():
-    config = preset("smoke")
+@pytest.mark.parametrize("name", ["smoke", "gpudrive", "gpudrive-same-model"])
+def test_config_round_trip(name: str):
+    config = preset(name)
     assert from_dict(TrainConfig, json.loads(json.dumps(to_dict(config)))) == config
+
+
+def test_unknown_settings_are_refused():
     with pytest.raises(PhaseError, match="no setting 'speed'"):
         from_dict(TrainConfig, {"speed": 1})
