@@ -75,8 +75,8 @@ class RunFolder:
         except (RuntimeError, OSError, EOFError, KeyError, ValueError, pickle.UnpicklingError) as error:
             reason = str(error).partition("\n")[0]
             raise PhaseError(
-                f"{file}: broken, or of another version of phase_sumo ({reason}); train in another folder, with "
-                f"--start-from {self.policy} to go on from its policy"
+                f"{file}: broken, or of another version of phase_sumo ({reason}); train in another "
+                f"folder, with --start-from {self.policy} to go on from its policy"
             ) from error
         return stored
 
