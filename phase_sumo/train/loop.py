@@ -164,7 +164,9 @@ class Trainer:
                 f"{folder.path} trains on {' '.join(folder.networks())}, not {' '.join(self.names)}; "
                 "pass the same --networks, or begin a new run with --start-from its policy"
             )
-        stored = folder.load()
+        folder.load(self._adopt)
+
+    def _adopt(self, stored: dict[str, Any]) -> None:
         self.network.load_state_dict(stored["network"])
         self.optimiser.load_state_dict(stored["optimiser"])
         self.env.load_state_dict(distributed.own(stored["env"]))

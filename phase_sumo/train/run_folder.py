@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import pickle
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -63,18 +64,21 @@ class RunFolder:
         disk.write(self.path / CHECKPOINT, _checkpoint_bytes(checkpoint))
         disk.write(self.policy, policy_bytes(policy))
 
-    def load(self) -> dict[str, Any]:
+    def load(self, adopt: Callable[[dict[str, Any]], None] = lambda stored: None) -> dict[str, Any]:
+        """The checkpoint, after ``adopt`` has taken it over."""
         file = self.path / CHECKPOINT
         if not file.exists():
             raise PhaseError(f"{file}: no checkpoint to resume from; name another folder with --run")
         try:
-            return torch.load(file, weights_only=True)
-        except (RuntimeError, OSError, EOFError, pickle.UnpicklingError) as error:
-            reason = str(error).splitlines()[0]
+            stored = torch.load(file, weights_only=True)
+            adopt(stored)
+        except (RuntimeError, OSError, EOFError, KeyError, ValueError, pickle.UnpicklingError) as error:
+            reason = str(error).partition("\n")[0]
             raise PhaseError(
-                f"{file}: no readable checkpoint ({reason}); train anew in another folder, with --start-from "
-                f"{self.policy} if that is still good"
+                f"{file}: broken, or of another version of phase_sumo ({reason}); train in another "
+                f"folder, with --start-from {self.policy} to go on from its policy"
             ) from error
+        return stored
 
     def _described(self) -> dict[str, Any]:
         try:

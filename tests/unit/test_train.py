@@ -144,8 +144,14 @@ def test_a_resumed_run_keeps_its_maps_and_its_new_length(straight_map, tmp_path)
 def test_a_broken_checkpoint_is_refused(straight_map, tmp_path):
     Trainer(TINY, [straight_map], [], RunFolder(tmp_path))
     file = tmp_path / "checkpoint.pt"
+    stored = torch.load(file, weights_only=True)
     file.write_bytes(file.read_bytes()[:5000])
-    with pytest.raises(PhaseError, match=r"checkpoint.pt: no readable checkpoint.*--start-from"):
+    refusal = r"checkpoint.pt: broken, or of another version.*--start-from"
+    with pytest.raises(PhaseError, match=refusal):
+        Trainer(TINY, [straight_map], [], RunFolder(tmp_path), resume=True)
+    del stored["env"]["worlds"]
+    torch.save(stored, file)
+    with pytest.raises(PhaseError, match=refusal):
         Trainer(TINY, [straight_map], [], RunFolder(tmp_path), resume=True)
 
 
