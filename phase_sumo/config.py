@@ -155,12 +155,13 @@ class ScenarioConfig:
 class NetworkConfig:
     """Policy network (paper: Model); 670 K parameters with the defaults, which are choices."""
 
-    width: int = 64  # of every element's embedding
-    heads: int = 4
-    feedforward: int = 128
-    seeds: int = 4  # of each attention pooling
+    width: int = 32  # of every partner's and road point's embedding
+    hidden: int = 64  # of the encoders; the ego state's embedding too
+    heads: int = 2
+    feedforward: int = 64
+    seeds: int = 8  # of each attention pooling
     trunk: int = 512
-    head: int = 256
+    head: int = 320
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch._inductor.cpp_builder import get_cpp_compiler
 
 from phase_sumo.config import ActionConfig, Actions, RewardConfig, ScenarioConfig, SimConfig
 from phase_sumo.sim import scenario
@@ -32,14 +31,6 @@ COMPILATION: Any = {
     "dynamic": False,
     "options": {"realize_reads_threshold": 16, "assert_indirect_indexing": False},
 }
-
-
-def can_compile() -> bool:
-    """Whether this machine has the C++ compiler that torch.compile needs on a CPU."""
-    try:
-        return bool(get_cpp_compiler())
-    except Exception:  # torch's own class for it has no public name
-        return False
 
 
 class Environment:

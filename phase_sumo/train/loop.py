@@ -15,13 +15,14 @@ from phase_sumo.errors import Diverged, PhaseError
 from phase_sumo.policy.build import build_network
 from phase_sumo.policy.checkpoint import Policy
 from phase_sumo.sim.bundle import MapBundle
+from phase_sumo.sim.compiler import cpp_compiler
 from phase_sumo.sim.curriculum import curriculum_progress
-from phase_sumo.sim.environment import Environment, can_compile
+from phase_sumo.sim.environment import Environment
 from phase_sumo.train import distributed
 from phase_sumo.train.health import is_finite, peak_memory
 from phase_sumo.train.held_out import held_out_rates, is_due
 from phase_sumo.train.ppo import ValueScale, filter_samples, learn, make_samples
-from phase_sumo.train.rollout import collect
+from phase_sumo.train.rollout import Buffer, collect
 from phase_sumo.train.run_folder import RunFolder
 from phase_sumo.train.tensorboard import TensorBoardLog
 
@@ -51,7 +52,7 @@ class Trainer:
         self.names = [m.name for m in maps]
         torch.manual_seed(config.seed)
         self.network = build_network(config.network, config.actions).to(device)
-        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, eps=1e-5)
+        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, eps=1e-5, fused=True)
         self.generator = torch.Generator(device=device).manual_seed(distributed.own_seed(config.seed + 1))
         self.env = Environment(
             maps,
@@ -63,9 +64,10 @@ class Trainer:
             config.actions,
             seed=distributed.own_seed(config.seed),
             device=device,
-            compiled=config.compiled and can_compile(),
+            compiled=config.compiled and cpp_compiler() is not None,
             share=distributed.share(config.worlds),
         )
+        self.buffer = Buffer(self.env.observation, config.rollout)
         self.scale = ValueScale()
         self.steps, self.wall = 0, 0.0
         facts = {"phase_sumo": phase_sumo.__version__, "torch": torch.__version__, "networks": self.names}
@@ -186,6 +188,7 @@ class Trainer:
         rollout = collect(
             self.env,
             self.network.eval(),
+            self.buffer,
             config.rollout,
             config.gamma,
             self.scale.get(),
@@ -194,8 +197,8 @@ class Trainer:
         )
         collected = time.process_time()
         samples = make_samples(rollout, config, self.scale)
-        kept = filter_samples(samples, config.learn_share)
-        losses = learn(self.network.train(), self.optimiser, kept, config, self.generator)
+        kept = filter_samples(samples, config.learn_share, config.minibatch)
+        losses = learn(self.network.train(), self.optimiser, samples, kept, config, self.generator)
         if not is_finite(losses, self.network):
             raise Diverged(
                 f"{self.folder.path}: training diverged at {self.steps} agent steps, {losses}; the last "

@@ -120,64 +120,61 @@ def make_samples(rollout: Rollout, config: TrainConfig, scale: ValueScale) -> Sa
     flat = advantage[active]
     centre = distributed.mean(weight * flat)
     spread = distributed.mean(weight * (flat - centre).square()).sqrt()
-    first = rollout.observations[0]
     return Samples(
-        observation=type(first)(
-            *(
-                torch.cat(parts)
-                for parts in zip(*(vars(o).values() for o in rollout.observations), strict=True)
-            )
-        ),
-        action=torch.cat(rollout.actions),
-        log_prob=torch.cat(rollout.log_probs),
+        observation=rollout.observation,
+        action=rollout.action,
+        log_prob=rollout.log_prob,
         advantage=(flat - centre) / (spread + 1e-8),
         value_target=(returns - mean) / std,
         weight=weight,
     )
 
 
-def filter_samples(samples: Samples, share: float) -> Samples:
-    """Keep the ``share`` of the samples with the largest |A|: the others hardly move the policy.
+def filter_samples(samples: Samples, share: float, minibatch: int) -> Tensor:
+    """Numbers [S'] of the ``share`` of the samples with the largest |A|: the others hardly move the policy.
 
-    Advantage filtering after GIGAFLOW; weights and advantage statistics are those of all samples.
+    Advantage filtering after GIGAFLOW; weights and advantage statistics are those of all samples. They are
+    cut to whole minibatches if there is more than one: a CPU prepares kernels for every new size.
     """
-    if share >= 1.0:
-        return samples
     size = samples.advantage.abs()
+    if share >= 1.0:
+        return torch.arange(len(size), device=size.device)
     everywhere = distributed.joint(size)
     count = max(1, round(share * len(everywhere)))
+    if count > minibatch:
+        count -= count % minibatch
     least = everywhere.topk(count, sorted=False).values.min()
-    return samples.select((size >= least).nonzero().squeeze(-1))
+    return (size >= least).nonzero().squeeze(-1)
 
 
 def minibatches(
-    samples: Samples, config: TrainConfig, generator: torch.Generator
+    kept: Tensor, config: TrainConfig, generator: torch.Generator
 ) -> Iterator[tuple[Tensor, int]]:
-    """Indices [B] of the samples, each once per epoch, in parts of nearly equal size.
+    """Parts [B] of the sample numbers, each once per epoch, of nearly equal size.
 
     Yields:
-        The indices, and the size of the minibatch in all processes together.
+        The numbers, and the size of the minibatch in all processes together.
     """
-    count, device = len(samples), samples.action.device
     # dropout draws from the global generator: seeded by ours, a resumed run goes on exactly
-    torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator, device=device)))
-    parts = max(1, round(distributed.totals([count])[0] / config.minibatch))
-    sizes = distributed.totals([len(part) for part in torch.arange(count).tensor_split(parts)])
+    torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator, device=kept.device)))
+    parts = max(1, round(distributed.totals([len(kept)])[0] / config.minibatch))
+    sizes = distributed.totals([len(part) for part in kept.tensor_split(parts)])
     for _ in range(config.epochs):
-        order = torch.randperm(count, generator=generator, device=device)
-        yield from zip(order.tensor_split(parts), map(int, sizes), strict=True)
+        order = torch.randperm(len(kept), generator=generator, device=kept.device)
+        yield from zip(kept[order].tensor_split(parts), map(int, sizes), strict=True)
 
 
 def learn(
     network: ActorCritic,
     optimiser: torch.optim.Optimizer,
     samples: Samples,
+    kept: Tensor,
     config: TrainConfig,
     generator: torch.Generator,
 ) -> dict[str, float]:
-    """All epochs of minibatch updates; returns the means of the losses and diagnostics."""
+    """All epochs of minibatch updates on the samples ``kept``; returns means of losses and diagnostics."""
     rows, norms, names = [], [], ()
-    for index, count in minibatches(samples, config, generator):
+    for index, count in minibatches(kept, config, generator):
         loss, parts = _loss(network, samples.select(index), config, count)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()

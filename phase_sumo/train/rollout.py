@@ -10,7 +10,11 @@ from torch import Tensor
 from phase_sumo.policy.network import ActorCritic
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.observation import Observation
+from phase_sumo.sim.worlds import Transition
 from phase_sumo.train import distributed
+
+# The network's batches in a rollout are multiples of this: a CPU prepares kernels for every new size.
+ROWS = 256
 
 
 @dataclass
@@ -36,6 +40,7 @@ class Samples:
         return self.action.shape[0]
 
     def select(self, index: Tensor) -> Samples:
+        """The samples with the numbers ``index``, copied."""
         return Samples(
             self.observation.map(lambda t: t[index]),
             *(t[index] for t in (self.action, self.log_prob, self.advantage, self.value_target, self.weight)),
@@ -62,6 +67,15 @@ class Counts:
         terms = distributed.totals([term / distributed.size() for term in self.terms.values()])
         return Counts(*shares, steps=int(steps), terms=dict(zip(self.terms, terms, strict=True)))
 
+    @staticmethod
+    def of(totals: dict[str, Tensor], terms: dict[str, Tensor], steps: int) -> Counts:
+        """From sums over a rollout of ``steps`` steps; the only place that waits for the device."""
+        numbers = torch.stack([total.double() for total in totals.values()]).tolist()
+        means = (torch.stack([term.double() for term in terms.values()]) / steps).tolist()
+        counts = Counts(**dict(zip(totals, numbers, strict=True)), terms=dict(zip(terms, means, strict=True)))
+        counts.steps = int(counts.steps)
+        return counts
+
     def rates(self) -> dict[str, float]:
         """Shares of the finished agents."""
         total = max(self.finished, 1.0)
@@ -69,20 +83,57 @@ class Counts:
         return {f"{name}_rate": getattr(self, name) / total for name in names}
 
 
-@dataclass
-class Rollout:
-    """T steps of experience in world layout.
+class Buffer:
+    """Memory for the samples of one rollout after another.
 
     Attributes:
-        observations, actions, log_probs: per step, rows of the active agents.
+        observation, action, log_prob: leading axis the capacity: every slot at every step.
+    """
+
+    def __init__(self, seen: Observation, steps: int) -> None:
+        capacity = steps * seen.ego.shape[:2].numel() + ROWS
+        self.observation = seen.map(lambda t: _rows_like(t, capacity))
+        self.action = torch.zeros(capacity, dtype=torch.long, device=seen.ego.device)
+        self.log_prob = torch.zeros(capacity, device=seen.ego.device)
+
+    def put(self, seen: Observation, index: Tensor, at: int) -> Observation:
+        """Copy the agents ``index`` of all slots to the rows from ``at`` on.
+
+        Returns:
+            Those rows and some more that make their number a multiple of `ROWS`.
+        """
+        for source, target in zip(vars(seen).values(), vars(self.observation).values(), strict=True):
+            source, target = _side_by_side(source.flatten(0, 1)), _side_by_side(target[at : at + len(index)])
+            torch.index_select(source, 0, index, out=target)
+        end = at + -(-len(index) // ROWS) * ROWS
+        return self.observation.map(lambda t: t[at:end])
+
+
+def _side_by_side(rows: Tensor) -> Tensor:
+    """Set features [A, K, F] as they lie in memory, [A, F, K]; others as they are."""
+    return rows.transpose(1, 2) if rows.dim() == 3 else rows
+
+
+def _rows_like(seen: Tensor, capacity: int) -> Tensor:
+    """Zeros for ``capacity`` agents of seen [W, N, ...], in the same memory layout."""
+    shape = _side_by_side(seen.flatten(0, 1)).shape[1:]
+    return _side_by_side(seen.new_zeros(capacity, *shape))
+
+
+@dataclass
+class Rollout:
+    """T steps of experience: S samples of the active agents in a row, and columns in world layout.
+
+    Attributes:
+        observation, action, log_prob: leading axis S, in the order of ``active``.
         active, finished, reward, value: [T, W, N]; reward includes the bootstrap of time-outs.
         last_value: [W, N] value after the last step.
         counts: what became of the agents.
     """
 
-    observations: list[Observation]
-    actions: list[Tensor]
-    log_probs: list[Tensor]
+    observation: Observation
+    action: Tensor
+    log_prob: Tensor
     active: Tensor
     finished: Tensor
     reward: Tensor
@@ -95,6 +146,7 @@ class Rollout:
 def collect(
     env: Environment,
     network: ActorCritic,
+    buffer: Buffer,
     steps: int,
     gamma: float,
     value_scale: tuple[float, float],
@@ -104,44 +156,43 @@ def collect(
     """Drive ``env`` for ``steps`` steps with actions sampled from ``network``.
 
     Args:
+        buffer: holds the samples until the next rollout.
         value_scale: mean and standard deviation that turn the network's value into returns.
     """
     mean, std = value_scale
-    observations, actions, log_probs = [], [], []
     columns: dict[str, list[Tensor]] = {name: [] for name in ("active", "finished", "reward", "value")}
-    counts = Counts()
+    totals: dict[str, Tensor] = {}
     terms: dict[str, Tensor] = {}
+    at = 0
     for _ in range(steps):
         active = env.worlds.active
-        seen = env.observation.rows(active)
-        logits, value = evaluate(network, seen, bf16)
-        log_prob = logits.log_softmax(-1)
-        token = torch.multinomial(log_prob.exp(), 1, generator=generator).squeeze(-1)
-        action = torch.zeros(active.shape, dtype=torch.long, device=active.device)
-        action[active] = token
-        step = env.step(action)
-        value = scatter(value * std + mean, active)
-        # a time-out is no failure: what the agent expected then stands for what would have come
-        reward = step.reward + gamma * value * step.truncated
-        observations.append(seen)
-        actions.append(token)
-        log_probs.append(log_prob.gather(-1, token.unsqueeze(-1)).squeeze(-1))
+        index = active.flatten().nonzero().squeeze(-1)
+        logits, value = evaluate(network, buffer.put(env.observation, index, at), bf16)
+        log_prob = logits[: len(index)].log_softmax(-1)
+        token = draw(log_prob, generator)
+        rows = slice(at, at + len(index))
+        buffer.action[rows] = token
+        buffer.log_prob[rows] = log_prob.gather(-1, token.unsqueeze(-1)).squeeze(-1)
+        at += len(index)
+        step = env.step(scatter(token, index, active))
+        value = scatter(value[: len(index)] * std + mean, index, active)
         columns["active"].append(active)
         columns["finished"].append(step.finished)
-        columns["reward"].append(reward)
+        # a time-out is no failure: what the agent expected then stands for what would have come
+        columns["reward"].append(step.reward + gamma * value * step.truncated)
         columns["value"].append(value)
-        _count(counts, step, terms)
-    counts.terms = {name: float(total) / steps for name, total in terms.items()}
+        _add(totals, _happened(step))
+        _add(terms, step.terms)
     active = env.worlds.active
+    index = active.flatten().nonzero().squeeze(-1)
     last = evaluate(network, env.observation.rows(active), bf16)[1] * std + mean
-    stacked = {name: torch.stack(parts) for name, parts in columns.items()}
     return Rollout(
-        observations,
-        actions,
-        log_probs,
-        **stacked,
-        last_value=scatter(last, active),
-        counts=counts.everywhere(),
+        buffer.observation.map(lambda t: t[:at]),
+        buffer.action[:at],
+        buffer.log_prob[:at],
+        **{name: torch.stack(parts) for name, parts in columns.items()},
+        last_value=scatter(last, index, active),
+        counts=Counts.of(totals, terms, steps).everywhere(),
     )
 
 
@@ -151,19 +202,33 @@ def evaluate(network: ActorCritic, observation: Observation, bf16: bool) -> tupl
         return network(observation)
 
 
-def scatter(rows: Tensor, active: Tensor) -> Tensor:
-    """Rows of the active agents back to [W, N], zeros elsewhere."""
-    out = torch.zeros(active.shape, dtype=rows.dtype, device=rows.device)
-    out[active] = rows
-    return out
+def draw(log_prob: Tensor, generator: torch.Generator) -> Tensor:
+    """One token per row of log_prob [A, actions]: where the distribution function passes a random number."""
+    reached = log_prob.exp().cumsum(-1)
+    uniform = torch.rand(len(log_prob), 1, generator=generator, device=log_prob.device) * reached[:, -1:]
+    return (reached <= uniform).sum(-1).clamp_max(log_prob.shape[-1] - 1)
 
 
-def _count(counts: Counts, step, terms: dict[str, Tensor]) -> None:
+def scatter(rows: Tensor, index: Tensor, active: Tensor) -> Tensor:
+    """Rows of the agents ``index`` of all slots back to [W, N], zeros elsewhere."""
+    out = torch.zeros(active.numel(), dtype=rows.dtype, device=rows.device)
+    return out.index_copy_(0, index, rows).view(active.shape)
+
+
+def _happened(step: Transition) -> dict[str, Tensor]:
+    """Numbers of agents by what became of them in this step."""
     done, outcome = step.finished, step.outcome
-    counts.steps += int(step.active.sum())
-    counts.finished += float(done.sum())
-    for name in ("goal", "collision", "at_fault", "road_edge"):
-        setattr(counts, name, getattr(counts, name) + float((getattr(outcome, name) & done).sum()))
-    counts.success += float((outcome.goal & ~outcome.at_fault & done).sum())
-    for name, value in step.terms.items():
-        terms[name] = terms.get(name, torch.zeros_like(value)) + value
+    return {
+        "finished": done.sum(),
+        "goal": (outcome.goal & done).sum(),
+        "collision": (outcome.collision & done).sum(),
+        "at_fault": (outcome.at_fault & done).sum(),
+        "road_edge": (outcome.road_edge & done).sum(),
+        "success": (outcome.goal & ~outcome.at_fault & done).sum(),
+        "steps": step.active.sum(),
+    }
+
+
+def _add(sums: dict[str, Tensor], values: dict[str, Tensor]) -> None:
+    for name, value in values.items():
+        sums[name] = sums[name] + value if name in sums else value

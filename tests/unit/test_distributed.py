@@ -23,7 +23,7 @@ from phase_sumo.sim.environment import Environment
 from phase_sumo.train import distributed
 from phase_sumo.train.loop import Trainer
 from phase_sumo.train.ppo import ValueScale, filter_samples, learn, make_samples
-from phase_sumo.train.rollout import Rollout, collect
+from phase_sumo.train.rollout import Buffer, Rollout, collect
 from phase_sumo.train.run_folder import RunFolder
 
 # one minibatch, so that the shuffling of the processes does not matter; what clipping scales it would hide
@@ -50,19 +50,20 @@ def experience(bundle: Path) -> Rollout:
         config.actions,
     )
     generator = torch.Generator().manual_seed(0)
-    return collect(env, network(config).eval(), config.rollout, config.gamma, (0.5, 2.0), generator, False)
+    net, buffer = network(config).eval(), Buffer(env.observation, config.rollout)
+    return collect(env, net, buffer, config.rollout, config.gamma, (0.5, 2.0), generator, False)
 
 
 def of_worlds(rollout: Rollout, worlds: slice) -> Rollout:
     """The part of a rollout that some of the worlds went through."""
     mine = torch.zeros_like(rollout.active[0])
     mine[worlds] = True
-    rows = [mine[active] for active in rollout.active]
+    rows = mine.expand_as(rollout.active)[rollout.active]
     columns = {n: getattr(rollout, n)[:, worlds] for n in ("active", "finished", "reward", "value")}
     return Rollout(
-        [o.map(lambda t, r=r: t[r]) for o, r in zip(rollout.observations, rows, strict=True)],
-        [a[r] for a, r in zip(rollout.actions, rows, strict=True)],
-        [p[r] for p, r in zip(rollout.log_probs, rows, strict=True)],
+        rollout.observation.map(lambda t: t[rows]),
+        rollout.action[rows],
+        rollout.log_prob[rows],
         **columns,
         last_value=rollout.last_value[worlds],
         counts=rollout.counts,
@@ -72,11 +73,12 @@ def of_worlds(rollout: Rollout, worlds: slice) -> Rollout:
 def update(rollout: Rollout) -> dict[str, Any]:
     """Gradient of one update, its statistics, and those of the returns."""
     net, scale = network(CONFIG), ValueScale()
-    samples = filter_samples(make_samples(rollout, CONFIG, scale), CONFIG.learn_share)
+    samples = make_samples(rollout, CONFIG, scale)
+    kept = filter_samples(samples, CONFIG.learn_share, CONFIG.minibatch)
     optimiser = torch.optim.SGD(net.parameters(), lr=0.0)
-    stats = learn(net, optimiser, samples, CONFIG, torch.Generator().manual_seed(distributed.rank()))
+    stats = learn(net, optimiser, samples, kept, CONFIG, torch.Generator().manual_seed(distributed.rank()))
     gradients = [p.grad.flatten() for p in net.parameters() if p.grad is not None]
-    return {"gradient": torch.cat(gradients), "stats": stats, "scale": vars(scale), "samples": len(samples)}
+    return {"gradient": torch.cat(gradients), "stats": stats, "scale": vars(scale), "samples": len(kept)}
 
 
 def resumed(folder: Path) -> torch.Tensor:

@@ -131,7 +131,7 @@ def numbered(advantage: torch.Tensor) -> Samples:
 @pytest.mark.parametrize(("count", "parts"), [(10, 1), (64, 1), (95, 1), (97, 2), (1000, 16)])
 def test_every_epoch_visits_every_sample_once_in_parts_of_equal_size(count: int, parts: int):
     config = dataclasses.replace(preset("smoke"), minibatch=64, epochs=3)
-    found = list(minibatches(numbered(torch.zeros(count)), config, torch.Generator().manual_seed(0)))
+    found = list(minibatches(torch.arange(count), config, torch.Generator().manual_seed(0)))
     batches = [index for index, _ in found]
     assert len(batches) == 3 * parts and all(len(index) == size for index, size in found)
     assert max(map(len, batches)) - min(map(len, batches)) <= 1
@@ -142,10 +142,16 @@ def test_every_epoch_visits_every_sample_once_in_parts_of_equal_size(count: int,
 
 def test_filter_keeps_the_samples_with_the_largest_advantages():
     samples = numbered(torch.tensor([0.1, -3.0, 0.5, 2.0, -0.2, 0.0]))
-    kept = filter_samples(samples, 0.5)
+    kept = samples.select(filter_samples(samples, 0.5, 64))
     assert sorted(kept.advantage.tolist()) == [-3.0, 0.5, 2.0]
     assert kept.observation.ego.flatten().tolist() == kept.log_prob.tolist()
-    assert len(filter_samples(samples, 1.0)) == 6
+    assert len(filter_samples(samples, 1.0, 4)) == 6
+
+
+def test_filter_keeps_whole_minibatches():
+    samples = numbered(torch.arange(100.0))
+    kept = filter_samples(samples, 0.75, 32)
+    assert kept.tolist() == list(range(36, 100))
 
 
 def test_value_scale_learns_mean_and_spread():
