@@ -183,11 +183,11 @@ class TrainConfig:
     sim: SimConfig = SimConfig()
     actions: Actions = ActionConfig()
     reward: RewardConfig = RewardConfig()
-    scenarios: ScenarioConfig = ScenarioConfig(agent_scale=0.25)
+    scenarios: ScenarioConfig = ScenarioConfig(agent_scale=0.5)
     network: Network = NetworkConfig()
-    worlds: int = 72
-    slots: int = 48  # agent slots per world
-    total_steps: int = 11_000_000  # agent steps
+    worlds: int = 77  # one for every (map, regime) tuple
+    slots: int = 96  # agent slots per world
+    total_steps: int = 25_000_000  # agent steps
     rollout: int = 16  # steps per world and update
     minibatch: int = 1024
     epochs: int = 1
@@ -206,8 +206,8 @@ class TrainConfig:
     curriculum: tuple[float, float] = (0.3, 0.8)  # shares of training at which rho starts and ends
     bf16: bool = True  # matrix products of the network
     compiled: bool = True  # worlds step through torch.compile, if there is a C++ compiler
-    held_out_every: int = 1_000_000  # agent steps between evaluations on the held-out maps
-    checkpoint_every: int = 500_000  # agent steps
+    held_out_every: int = 2_500_000  # agent steps between evaluations on the held-out maps
+    checkpoint_every: int = 1_000_000  # agent steps
     seed: int = 0
 
 
@@ -260,7 +260,7 @@ def _gpudrive() -> TrainConfig:
         actions=DirectActionConfig(),
         reward=reward,
         network=LateFusionConfig(),
-        rollout=91,  # of 72 worlds: about its batch of 131,072
+        rollout=91,  # of 77 worlds: about its batch of 131,072
         minibatch=8192,
         epochs=4,
         learning_rate=3e-4,

@@ -21,7 +21,9 @@ from phase_sumo.sim.compiler import cpp_compiler
 from phase_sumo.sim.observation import PARTNER, ROAD, Observation
 
 SOURCE = Path(__file__).with_name("scene_encoder.cpp")
-FLAGS = ("-std=c++17", "-O3", "-march=native", "-ffast-math", "-shared", "-fPIC")
+# all of -ffast-math but for what changes the rounding of the whole process when the library is loaded
+FAST = "-fno-math-errno -fno-trapping-math -fno-signed-zeros -fassociative-math -freciprocal-math".split()
+FLAGS = ("-std=c++17", "-O3", "-march=native", *FAST, "-shared", "-fPIC")
 THREADS = ("-fopenmp",) if sys.platform == "linux" else ()  # the threads that torch keeps anyway
 VECTOR = 16  # numbers in the kernel's vectors
 

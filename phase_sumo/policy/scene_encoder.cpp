@@ -3,7 +3,8 @@
 // An agent's partners and road points are the lanes of vector registers: every feature is a row of
 // PARTNERS or POINTS numbers, all matrices are small, sizes are known when this is compiled, and nothing
 // but features and results leaves the first cache levels. The backward pass works the forward pass out again
-// instead of keeping it. Weights come as one array, in the order of `Weights`; so do their gradients.
+// instead of keeping it. Weights come as one array, layer by layer as in the module, a bias after its matrix;
+// so do their gradients.
 
 #include <cstdint>
 #include <cstring>
@@ -16,7 +17,7 @@ typedef float Vector __attribute__((vector_size(4 * VECTOR)));
 typedef float Unaligned __attribute__((vector_size(4 * VECTOR), aligned(4)));
 typedef int32_t Integers __attribute__((vector_size(4 * VECTOR)));
 
-constexpr int SIZE = WIDTH / HEADS;                // of a head
+constexpr int SIZE = WIDTH / HEADS;                       // of a head
 constexpr int KEY = 0, VALUE = WIDTH, SCORE = 2 * WIDTH;  // rows of what a road point gives
 constexpr int GIVEN = 2 * WIDTH + SEEDS;
 
@@ -30,15 +31,9 @@ inline float sum(Vector v) {
     return total;
 }
 
-inline float largest(Vector v) {
-    float most = v[0];
-    for (int i = 1; i < VECTOR; i++) most = v[i] > most ? v[i] : most;
-    return most;
-}
-
-// e^x for x <= 0, relative error below 2e-7: 2^n times a polynomial of the rest
+// e^x for -60 <= x <= 0, and e^-60 below: 2^n times a polynomial of the rest, relative error below 2e-7
 inline Vector exponential(Vector x) {
-    x = larger(x, Vector{} - 87.0f);
+    x = larger(x, Vector{} - 60.0f);
     Integers exponent = __builtin_convertvector(x * 1.44269504f - 0.5f, Integers);  // rounds, as x <= 0
     Vector n = __builtin_convertvector(exponent, Vector);
     Vector f = x - n * 0.693359375f + n * 2.12194440e-4f;
