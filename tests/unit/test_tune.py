@@ -61,7 +61,7 @@ def test_tables_that_are_missing_or_empty_are_refused(tmp_path):
 
 def test_a_study_is_continued_by_the_next_command(straight_map, tmp_path, monkeypatch):
     pytest.importorskip("optuna")
-    monkeypatch.setattr("phase_sumo.train.loop.HELD_OUT_WORLDS", 2)
+    monkeypatch.setattr("phase_sumo.train.held_out.WORLDS", 2)
     monkeypatch.setattr("phase_sumo.train.tune.JUDGED", 1)
     rows = table(tmp_path / "t.csv", "learning_rate,1e-4,1e-3,log")
     for trials in (1, 2):
