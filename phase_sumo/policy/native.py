@@ -9,6 +9,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+import warnings
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -88,7 +89,8 @@ def load_kernel(config: NetworkConfig, partners: int, points: int) -> Kernel | N
     """The kernel for a network and its set sizes, compiled once per machine.
 
     Returns:
-        None where there is no C++ compiler, where it fails, or for sizes that fill no whole vectors.
+        None where there is no C++ compiler, where it fails (with a warning), or for sizes that fill no whole
+        vectors.
     """
     whole = (partners, points, config.width, config.hidden, config.feedforward)
     compiler = cpp_compiler()
@@ -107,7 +109,9 @@ def load_kernel(config: NetworkConfig, partners: int, points: int) -> Kernel | N
     }
     try:
         return Kernel(_compile([compiler, *FLAGS, *THREADS, *(f"-D{name}={size}" for name, size in sizes.items())]))
-    except (OSError, subprocess.CalledProcessError):
+    except (OSError, subprocess.CalledProcessError) as error:
+        reason = (getattr(error, "stderr", None) or str(error).encode()).decode(errors="replace").strip()
+        warnings.warn(f"the network runs in plain torch, several times slower: {reason}", stacklevel=2)
         return None
 
 

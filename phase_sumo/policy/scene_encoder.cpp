@@ -109,13 +109,47 @@ template <int COUNT>
 inline void clear(float *a) { std::memset(a, 0, sizeof(float) * COUNT); }
 
 template <int COUNT>
-inline void rectify(float *a) {
-    for (int i = 0; i < COUNT; i += VECTOR) store(a + i, larger(load(a + i), Vector{}));
+inline void rectify(const float *a, float *b) {
+    for (int i = 0; i < COUNT; i += VECTOR) store(b + i, larger(load(a + i), Vector{}));
 }
 
 template <int COUNT>
 inline void rectify_backward(const float *a, float *grad) {
     for (int i = 0; i < COUNT; i += VECTOR) store(grad + i, load(a + i) > 0.0f ? load(grad + i) : Vector{});
+}
+
+// the FEATURES rows of x to mean 0 and variance 1, lane by lane; scale[L] is what they were multiplied by
+template <int FEATURES, int L>
+inline void normalise(const float *x, float *y, float *scale) {
+    for (int l = 0; l < L; l += VECTOR) {
+        Vector mean = {}, square = {};
+        for (int f = 0; f < FEATURES; f++) mean += load(x + f * L + l);
+        mean /= float(FEATURES);
+        for (int f = 0; f < FEATURES; f++) {
+            Vector centred = load(x + f * L + l) - mean;
+            square += centred * centred;
+        }
+        for (int i = 0; i < VECTOR; i++) scale[l + i] = 1.0f / __builtin_sqrtf(square[i] / FEATURES + 1e-5f);
+        for (int f = 0; f < FEATURES; f++) store(y + f * L + l, (load(x + f * L + l) - mean) * load(scale + l));
+    }
+}
+
+// gradient of y to that of x; ADD: to what is there already
+template <int FEATURES, int L, bool ADD>
+inline void normalise_backward(const float *y, const float *scale, const float *grad_y, float *grad_x) {
+    for (int l = 0; l < L; l += VECTOR) {
+        Vector mean = {}, along = {};
+        for (int f = 0; f < FEATURES; f++) {
+            mean += load(grad_y + f * L + l);
+            along += load(grad_y + f * L + l) * load(y + f * L + l);
+        }
+        mean /= float(FEATURES), along /= float(FEATURES);
+        for (int f = 0; f < FEATURES; f++) {
+            const int at = f * L + l;
+            Vector grad = (load(grad_y + at) - mean - load(y + at) * along) * load(scale + l);
+            store(grad_x + at, ADD ? load(grad_x + at) + grad : grad);
+        }
+    }
 }
 
 template <int O, int I>
@@ -214,16 +248,20 @@ inline void pool_backward(const float *weight, const float *values, const float 
 }
 
 struct Agent {
+    alignas(64) float road_normal[HIDDEN * POINTS], road_scale[POINTS];
     alignas(64) float road_hidden[HIDDEN * POINTS];
     alignas(64) float road[GIVEN * POINTS];  // keys, values, pooling weights
+    alignas(64) float partner_normal[HIDDEN * PARTNERS], partner_scale[PARTNERS];
     alignas(64) float partner_hidden[HIDDEN * PARTNERS];
     alignas(64) float partner[WIDTH * PARTNERS];
     alignas(64) float query[WIDTH * PARTNERS];
     alignas(64) float attention[HEADS * POINTS * PARTNERS];
     alignas(64) float attended[WIDTH * PARTNERS];
     alignas(64) float informed[WIDTH * PARTNERS];
+    alignas(64) float informed_normal[WIDTH * PARTNERS], informed_scale[PARTNERS];
     alignas(64) float feed[FEEDFORWARD * PARTNERS];
     alignas(64) float fused[WIDTH * PARTNERS];
+    alignas(64) float fused_normal[WIDTH * PARTNERS], fused_scale[PARTNERS];
     alignas(64) float weight[SEEDS * PARTNERS];
 
     void attend(const uint8_t *road_mask) {
@@ -254,20 +292,24 @@ struct Agent {
     void forward(const float *w, const float *partners, const uint8_t *partner_mask, const float *points,
                  const uint8_t *road_mask, float *pooled) {
         Road1::forward<POINTS>(w + ROAD1, points, road_hidden);
-        rectify<HIDDEN * POINTS>(road_hidden);
+        normalise<HIDDEN, POINTS>(road_hidden, road_normal, road_scale);
+        rectify<HIDDEN * POINTS>(road_normal, road_hidden);
         Road2::forward<POINTS>(w + ROAD2, road_hidden, road);
         Partner1::forward<PARTNERS>(w + PARTNER1, partners, partner_hidden);
-        rectify<HIDDEN * PARTNERS>(partner_hidden);
+        normalise<HIDDEN, PARTNERS>(partner_hidden, partner_normal, partner_scale);
+        rectify<HIDDEN * PARTNERS>(partner_normal, partner_hidden);
         Partner2::forward<PARTNERS>(w + PARTNER2, partner_hidden, partner);
         Query::forward<PARTNERS>(w + QUERY, partner, query);
         attend(road_mask);
         Out::forward<PARTNERS>(w + OUT, attended, informed);
         for (int i = 0; i < WIDTH * PARTNERS; i++) informed[i] += partner[i];
-        Feed1::forward<PARTNERS>(w + FEED1, informed, feed);
-        rectify<FEEDFORWARD * PARTNERS>(feed);
+        normalise<WIDTH, PARTNERS>(informed, informed_normal, informed_scale);
+        Feed1::forward<PARTNERS>(w + FEED1, informed_normal, feed);
+        rectify<FEEDFORWARD * PARTNERS>(feed, feed);
         Feed2::forward<PARTNERS>(w + FEED2, feed, fused);
         for (int i = 0; i < WIDTH * PARTNERS; i++) fused[i] += informed[i];
-        Score::forward<PARTNERS>(w + SCORES, fused, weight);
+        normalise<WIDTH, PARTNERS>(fused, fused_normal, fused_scale);
+        Score::forward<PARTNERS>(w + SCORES, fused_normal, weight);
         pool_weights<PARTNERS>(weight, partner_mask);
         pool<PARTNERS>(weight, fused, pooled);
         pool_weights<POINTS>(road + SCORE * POINTS, road_mask);
@@ -306,20 +348,25 @@ struct Agent {
                   float *grad) const {
         alignas(64) float grad_road[GIVEN * POINTS], grad_hidden[HIDDEN * POINTS], grad_feed[FEEDFORWARD * PARTNERS];
         alignas(64) float grad_fused[WIDTH * PARTNERS], grad_score[SEEDS * PARTNERS], grad_query[WIDTH * PARTNERS];
-        alignas(64) float grad_attended[WIDTH * PARTNERS];
+        alignas(64) float grad_attended[WIDTH * PARTNERS], grad_normal[WIDTH * PARTNERS];
         clear<GIVEN * POINTS>(grad_road);
         pool_backward<POINTS>(road + SCORE * POINTS, road + VALUE * POINTS, grad_pooled + SEEDS * WIDTH,
                               grad_road + SCORE * POINTS, grad_road + VALUE * POINTS);
         clear<WIDTH * PARTNERS>(grad_fused);
         pool_backward<PARTNERS>(weight, fused, grad_pooled, grad_score, grad_fused);
-        Score::backward<PARTNERS>(fused, grad_score, grad + SCORES);
-        Score::backward_input<PARTNERS>(w + SCORES, grad_score, grad_fused);
+        Score::backward<PARTNERS>(fused_normal, grad_score, grad + SCORES);
+        clear<WIDTH * PARTNERS>(grad_normal);
+        Score::backward_input<PARTNERS>(w + SCORES, grad_score, grad_normal);
+        normalise_backward<WIDTH, PARTNERS, true>(fused_normal, fused_scale, grad_normal, grad_fused);
         Feed2::backward<PARTNERS>(feed, grad_fused, grad + FEED2);
         clear<FEEDFORWARD * PARTNERS>(grad_feed);
         Feed2::backward_input<PARTNERS>(w + FEED2, grad_fused, grad_feed);
         rectify_backward<FEEDFORWARD * PARTNERS>(feed, grad_feed);
-        Feed1::backward<PARTNERS>(informed, grad_feed, grad + FEED1);
-        Feed1::backward_input<PARTNERS>(w + FEED1, grad_feed, grad_fused);  // now that of informed
+        Feed1::backward<PARTNERS>(informed_normal, grad_feed, grad + FEED1);
+        clear<WIDTH * PARTNERS>(grad_normal);
+        Feed1::backward_input<PARTNERS>(w + FEED1, grad_feed, grad_normal);
+        // from here on grad_fused is the gradient of informed
+        normalise_backward<WIDTH, PARTNERS, true>(informed_normal, informed_scale, grad_normal, grad_fused);
         Out::backward<PARTNERS>(attended, grad_fused, grad + OUT);
         clear<WIDTH * PARTNERS>(grad_attended);
         Out::backward_input<PARTNERS>(w + OUT, grad_fused, grad_attended);
@@ -330,11 +377,13 @@ struct Agent {
         clear<HIDDEN * PARTNERS>(grad_hidden);
         Partner2::backward_input<PARTNERS>(w + PARTNER2, grad_fused, grad_hidden);
         rectify_backward<HIDDEN * PARTNERS>(partner_hidden, grad_hidden);
+        normalise_backward<HIDDEN, PARTNERS, false>(partner_normal, partner_scale, grad_hidden, grad_hidden);
         Partner1::backward<PARTNERS>(partners, grad_hidden, grad + PARTNER1);
         Road2::backward<POINTS>(road_hidden, grad_road, grad + ROAD2);
         clear<HIDDEN * POINTS>(grad_hidden);
         Road2::backward_input<POINTS>(w + ROAD2, grad_road, grad_hidden);
         rectify_backward<HIDDEN * POINTS>(road_hidden, grad_hidden);
+        normalise_backward<HIDDEN, POINTS, false>(road_normal, road_scale, grad_hidden, grad_hidden);
         Road1::backward<POINTS>(points, grad_hidden, grad + ROAD1);
     }
 };

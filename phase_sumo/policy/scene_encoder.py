@@ -16,7 +16,7 @@ from phase_sumo.sim.observation import PARTNER, ROAD, Observation
 class SceneEncoder(nn.Module):
     """The part of the network that reads sets (paper: Fig. network), whatever their order and size.
 
-    Partners p and road points r are encoded by linear maps around one ReLU. The road's last map gives keys,
+    Partners p and road points r are encoded by linear maps around a normalisation and one ReLU. The road's last map gives keys,
     values and pooling scores at once. Every partner attends to the road; a feed-forward layer follows, both
     residual. Each set is then pooled by learned seeds (Set Transformer's PMA): seeds are constants, so seed
     times key projection is one linear map from element to scores, and the map of pooled values that would
@@ -60,13 +60,13 @@ class SceneEncoder(nn.Module):
     def reference(self, observation: Observation) -> Tensor:
         """`forward` in torch operations, on any device."""
         d, seeds = self.config.width, self.config.seeds
-        partner = self.partner_out(F.relu(self.partner_in(observation.partner)))
-        given = self.road_out(F.relu(self.road_in(observation.road)))
+        partner = self.partner_out(F.relu(normalise(self.partner_in(observation.partner))))
+        given = self.road_out(F.relu(normalise(self.road_in(observation.road))))
         key, value, score = given.split((d, d, seeds), -1)
         partner = partner + self.attended(self._attend(partner, key, value, observation.road_mask))
-        partner = partner + self.feed_out(F.relu(self.feed_in(partner)))
+        partner = partner + self.feed_out(F.relu(self.feed_in(normalise(partner))))
         pooled = (
-            pool(self.score(partner), partner, observation.partner_mask),
+            pool(self.score(normalise(partner)), partner, observation.partner_mask),
             pool(score, value, observation.road_mask),
         )
         return torch.cat(pooled, 1).flatten(1)
@@ -81,6 +81,11 @@ class SceneEncoder(nn.Module):
         score = query @ key.transpose(-1, -2) / math.sqrt(query.shape[-1])
         weight = softmax_with_zero(score, mask[:, None, None, :])
         return (weight.to(value.dtype) @ value).transpose(1, 2).flatten(2)
+
+
+def normalise(elements: Tensor) -> Tensor:
+    """Layer normalisation without weights of its own: a linear map follows, or ReLU and one."""
+    return F.layer_norm(elements, elements.shape[-1:])
 
 
 def pool(score: Tensor, value: Tensor, mask: Tensor) -> Tensor:
