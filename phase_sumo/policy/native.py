@@ -108,7 +108,9 @@ def load_kernel(config: NetworkConfig, partners: int, points: int) -> Kernel | N
         "ROAD_FEATURES": len(ROAD),
     }
     try:
-        return Kernel(_compile([compiler, *FLAGS, *THREADS, *(f"-D{name}={size}" for name, size in sizes.items())]))
+        return Kernel(
+            _compile([compiler, *FLAGS, *THREADS, *(f"-D{name}={size}" for name, size in sizes.items())])
+        )
     except (OSError, subprocess.CalledProcessError) as error:
         reason = (getattr(error, "stderr", None) or str(error).encode()).decode(errors="replace").strip()
         warnings.warn(f"the network runs in plain torch, several times slower: {reason}", stacklevel=2)

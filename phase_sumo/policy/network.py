@@ -33,7 +33,9 @@ class PolicyNetwork(ActorCritic):
     def __init__(self, config: NetworkConfig, actions: Actions) -> None:
         super().__init__(actions)
         hidden = config.hidden
-        self.ego = nn.Sequential(nn.Linear(len(EGO), hidden), nn.ReLU(inplace=True), nn.Linear(hidden, hidden))
+        self.ego = nn.Sequential(
+            nn.Linear(len(EGO), hidden), nn.ReLU(inplace=True), nn.Linear(hidden, hidden)
+        )
         self.scene = SceneEncoder(config)
         fused = hidden + len(CONTEXT) + self.scene.size
         self.trunk = nn.Sequential(nn.LayerNorm(fused), nn.Linear(fused, config.trunk), nn.ReLU(inplace=True))

@@ -52,7 +52,9 @@ class Trainer:
         self.names = [m.name for m in maps]
         torch.manual_seed(config.seed)
         self.network = build_network(config.network, config.actions).to(device)
-        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, eps=1e-5, fused=True)
+        self.optimiser = torch.optim.Adam(
+            self.network.parameters(), lr=config.learning_rate, eps=1e-5, fused=True
+        )
         self.generator = torch.Generator(device=device).manual_seed(distributed.own_seed(config.seed + 1))
         self.env = Environment(
             maps,

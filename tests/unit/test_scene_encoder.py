@@ -62,7 +62,10 @@ def test_large_scores_do_not_overflow():
     with torch.no_grad():
         for layer in (net.score, net.road_out, net.query):
             layer.weight.mul_(1000.0)
-    ours, theirs = net(seen()), net.double().reference(seen().map(lambda t: t if t.dtype == torch.bool else t.double()))
+    ours, theirs = (
+        net(seen()),
+        net.double().reference(seen().map(lambda t: t if t.dtype == torch.bool else t.double())),
+    )
     assert ours.isfinite().all()
     same = (ours - theirs).abs() < 1e-3 * theirs.abs() + 1e-2
     assert same.float().mean() > 0.99  # but where two scores are equal to six digits
