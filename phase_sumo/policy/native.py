@@ -22,10 +22,14 @@ from phase_sumo.sim.compiler import cpp_compiler
 from phase_sumo.sim.observation import PARTNER, ROAD, Observation
 
 SOURCE = Path(__file__).with_name("scene_encoder.cpp")
-# all of -ffast-math but for what changes the rounding of the whole process when the library is loaded
-FAST = "-fno-math-errno -fno-trapping-math -fno-signed-zeros -fassociative-math -freciprocal-math".split()
-FLAGS = ("-std=c++17", "-O3", "-march=native", *FAST, "-shared", "-fPIC")
-THREADS = ("-fopenmp",) if sys.platform == "linux" else ()  # the threads that torch keeps anyway
+# -ffast-math but for its change of rounding in the whole process that loads the library
+FAST = [
+    *("-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros"),
+    *("-fassociative-math", "-freciprocal-math"),
+]
+# the threads that torch keeps anyway
+THREADS = ["-fopenmp"] if sys.platform == "linux" else []
+FLAGS = ["-std=c++17", "-O3", "-march=native", *FAST, *THREADS, "-shared", "-fPIC"]
 VECTOR = 16  # numbers in the kernel's vectors
 
 
@@ -107,10 +111,9 @@ def load_kernel(config: NetworkConfig, partners: int, points: int) -> Kernel | N
         "PARTNER_FEATURES": len(PARTNER),
         "ROAD_FEATURES": len(ROAD),
     }
+    definitions = [f"-D{name}={size}" for name, size in sizes.items()]
     try:
-        return Kernel(
-            _compile([compiler, *FLAGS, *THREADS, *(f"-D{name}={size}" for name, size in sizes.items())])
-        )
+        return Kernel(_compile([compiler, *FLAGS, *definitions]))
     except (OSError, subprocess.CalledProcessError) as error:
         reason = (getattr(error, "stderr", None) or str(error).encode()).decode(errors="replace").strip()
         warnings.warn(f"the network runs in plain torch, several times slower: {reason}", stacklevel=2)

@@ -16,11 +16,11 @@ from phase_sumo.sim.observation import PARTNER, ROAD, Observation
 class SceneEncoder(nn.Module):
     """The part of the network that reads sets (paper: Fig. network), whatever their order and size.
 
-    Partners p and road points r are encoded by linear maps around a normalisation and one ReLU. The road's last map gives keys,
-    values and pooling scores at once. Every partner attends to the road; a feed-forward layer follows, both
-    residual. Each set is then pooled by learned seeds (Set Transformer's PMA): seeds are constants, so seed
-    times key projection is one linear map from element to scores, and the map of pooled values that would
-    follow is left to the trunk, which begins with one.
+    Partners and road points are encoded by linear maps around a normalisation and one ReLU. The road's last
+    map gives keys, values and pooling scores at once. Every partner attends to the road; a feed-forward layer
+    follows, both residual. Each set is then pooled by learned seeds (Set Transformer's PMA): seeds are
+    constants, so seed times key projection is one linear map from element to scores, and the map of pooled
+    values that would follow is left to the trunk, which begins with one.
 
     On a CPU with a C++ compiler `scene_encoder.cpp` does the same several times faster.
     """
