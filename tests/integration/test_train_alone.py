@@ -35,7 +35,7 @@ def test_smoke_training_needs_torch_numpy_and_safetensors_only(straight_map, tmp
     save_bundle(tmp_path / "maps" / "straight.npz", straight_map)
     run = tmp_path / "run"
     arguments = ["train", "--networks", str(tmp_path / "maps"), "--held-out", str(tmp_path / "maps")]
-    arguments += ["--run", str(run), "--preset", "smoke", "--steps", "3000"]
+    arguments += ["--run", str(run), "--preset", "smoke", "--steps", "6000"]
     code = BARE_MACHINE.format(missing=sorted(packages - NEEDED | ALSO), arguments=arguments)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
