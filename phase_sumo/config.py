@@ -203,7 +203,7 @@ class TrainConfig:
     gradient_norm: float = 0.5
     reweight: bool = True  # 1 / N_w
     learn_share: float = 0.5  # of the samples, those with the largest |advantage|, are learnt from
-    curriculum: tuple[float, float] = (0.1, 0.4)  # shares of training at which rho starts and ends
+    curriculum: tuple[float, float] = (0.3, 0.8)  # shares of training at which rho starts and ends
     bf16: bool = True  # matrix products of the network
     compiled: bool = True  # worlds step through torch.compile, if there is a C++ compiler
     held_out_every: int = 2_500_000  # agent steps between evaluations on the held-out maps
