@@ -260,7 +260,7 @@ def _gpudrive() -> TrainConfig:
         actions=DirectActionConfig(),
         reward=reward,
         network=LateFusionConfig(),
-        rollout=91,  # of 77 worlds: about its batch of 131,072
+        rollout=64,  # of 77 worlds with some 2,000 agents: about its batch of 131,072
         minibatch=8192,
         epochs=4,
         learning_rate=3e-4,

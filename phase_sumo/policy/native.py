@@ -38,7 +38,7 @@ class Kernel:
 
     def __init__(self, library: Path) -> None:
         self.library = ctypes.CDLL(str(library))
-        self.weight_count = int(self.library.weight_count())
+        self.weight_count, self.pooled_count = self.library.weight_count(), self.library.pooled_count()
 
     def __call__(self, observation: Observation, weights: list[Tensor]) -> Tensor:
         return _Encode.apply(self, *self.inputs(observation), *weights)
@@ -53,8 +53,9 @@ class Kernel:
             observation.road_mask.contiguous(),
         )
 
-    def forward(self, weights: Tensor, inputs: tuple[Tensor, ...], size: int) -> Tensor:
-        pooled = torch.empty(len(inputs[0]), size)
+    def forward(self, weights: Tensor, inputs: tuple[Tensor, ...]) -> Tensor:
+        """Pooled sets [B, pooled_count]."""
+        pooled = torch.empty(len(inputs[0]), self.pooled_count)
         self._call(self.library.forward, weights, *inputs, pooled)
         return pooled
 
@@ -77,8 +78,7 @@ class _Encode(torch.autograd.Function):
         flat = torch.cat([w.flatten() for w in weights])
         ctx.kernel, ctx.shapes = kernel, [w.shape for w in weights]
         ctx.save_for_backward(flat, *inputs)
-        score_bias, width = weights[-1], weights[-2].shape[1]
-        return kernel.forward(flat, inputs, 2 * len(score_bias) * width)
+        return kernel.forward(flat, inputs)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:

@@ -394,6 +394,7 @@ constexpr int PARTNER_STRIDE = PARTNER_FEATURES * PARTNERS, ROAD_STRIDE = ROAD_F
 }  // namespace
 
 extern "C" int weight_count() { return WEIGHTS; }
+extern "C" int pooled_count() { return POOLED_STRIDE; }
 
 // partner [count][features][partners], masks one byte an element, pooled [count][2][seeds][width]
 extern "C" void forward(int64_t count, int threads, const float *weights, const float *partner,

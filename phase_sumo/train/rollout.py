@@ -69,7 +69,7 @@ class Counts:
 
     @staticmethod
     def of(totals: dict[str, Tensor], terms: dict[str, Tensor], steps: int) -> Counts:
-        """From sums over a rollout of ``steps`` steps; the only place that waits for the device."""
+        """From sums over a rollout of ``steps`` steps, which wait for the device here and not every step."""
         numbers = torch.stack([total.double() for total in totals.values()]).tolist()
         means = (torch.stack([term.double() for term in terms.values()]) / steps).tolist()
         counts = Counts(**dict(zip(totals, numbers, strict=True)), terms=dict(zip(terms, means, strict=True)))
@@ -87,11 +87,11 @@ class Buffer:
     """Memory for the samples of one rollout after another.
 
     Attributes:
-        observation, action, log_prob: leading axis the capacity: every slot at every step.
+        observation, action, log_prob: leading axis the capacity: every slot at every step and after the last.
     """
 
     def __init__(self, seen: Observation, steps: int) -> None:
-        capacity = steps * seen.ego.shape[:2].numel() + ROWS
+        capacity = (steps + 1) * seen.ego.shape[:2].numel() + ROWS
         self.observation = seen.map(lambda t: _rows_like(t, capacity))
         self.action = torch.zeros(capacity, dtype=torch.long, device=seen.ego.device)
         self.log_prob = torch.zeros(capacity, device=seen.ego.device)
@@ -166,7 +166,9 @@ def collect(
     at = 0
     for _ in range(steps):
         active = env.worlds.active
-        index = active.flatten().nonzero().squeeze(-1)
+        index = (
+            active.flatten().nonzero().squeeze(-1)
+        )  # waits for the device; padding costs three times the work
         logits, value = evaluate(network, buffer.put(env.observation, index, at), bf16)
         log_prob = logits[: len(index)].log_softmax(-1)
         token = draw(log_prob, generator)
@@ -185,7 +187,7 @@ def collect(
         _add(terms, step.terms)
     active = env.worlds.active
     index = active.flatten().nonzero().squeeze(-1)
-    last = evaluate(network, env.observation.rows(active), bf16)[1] * std + mean
+    last = evaluate(network, buffer.put(env.observation, index, at), bf16)[1][: len(index)] * std + mean
     return Rollout(
         buffer.observation.map(lambda t: t[:at]),
         buffer.action[:at],
