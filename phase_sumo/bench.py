@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import torch
 
 from phase_sumo.config import REGIMES, TrainConfig
+from phase_sumo.errors import PhaseError
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import Environment, tensors
@@ -22,6 +23,7 @@ from phase_sumo.sim.synthetic_road import freeway
 Progress = Callable[[float, str], None]
 Result = TypeVar("Result")
 WARM_UP = 10  # steps
+BRIDGE_WARM_UP = 30  # steps of SUMO: all vehicles are taken over, kernels of their number are made
 SIZES = ((16, 64), (16, 256))  # worlds x slots
 ROOM = 40.0  # m of lane per vehicle: random starts find a place for nearly all
 FREEWAYS = (6, 24, 99, 399)  # km of lane: whole sections of a two-way freeway of six lanes
@@ -233,23 +235,54 @@ def _conversion(read: Callable[[], LaneNetwork]) -> dict[str, float]:
     return parts | {"lane_km": len(graph.node_xy) / 1000.0}  # a node every metre
 
 
-def bench_bridge(cfg: Path, seed: int, progress: Progress) -> dict[str, Any]:
-    """A scenario through libsumo with every vehicle under PHASE, and SUMO alone for the difference."""
-    from phase_sumo.bridge.run import run_scenario
+def bench_full_freeway(vehicles: int, steps: int, seed: int, progress: Progress) -> dict[str, Any]:
+    """`bench_bridge` on a synthetic motorway that holds ``vehicles`` from the first step on."""
+    from phase_sumo.bridge.full_freeway import write_full_freeway
 
-    costs = {}
-    for share in (1.0, 0.0):
-        began = time.process_time()
-        result = run_scenario(cfg, share=share, seed=seed, progress=progress)
-        costs[share] = (time.process_time() - began, result)
-    phase = costs[1.0][1]
-    return {
-        "part": "bridge",
-        "phase_vehicles": phase["phase_vehicles"],
-        "real_time_factor": phase["real_time_factor"],
-        "policy_cpu_us_per_vehicle_step": phase["policy_cpu_us_per_vehicle_step"],
-        "cpu_seconds": costs[1.0][0],
-        "cpu_seconds_sumo_alone": costs[0.0][0],
+    with tempfile.TemporaryDirectory(prefix="phase_sumo_") as folder:
+        cfg = write_full_freeway(Path(folder), vehicles, seed)
+        return bench_bridge(cfg, steps, seed, progress)
+
+
+def bench_bridge(cfg: Path, steps: int | None, seed: int, progress: Progress) -> dict[str, Any]:
+    """A scenario through libsumo with every vehicle under PHASE, and under SUMO's IDM for the difference.
+
+    All figures are those after `BRIDGE_WARM_UP` steps, recording of trajectories apart: its cost comes on
+    top where it is on.
+
+    Args:
+        steps: of SUMO, measured after the warm-up; None runs the scenario to its end.
+    """
+    from phase_sumo.bridge.options import read_scenario
+    from phase_sumo.bridge.run import run_scenario
+    from phase_sumo.bridge.stopwatch import Stopwatch
+
+    watches: dict[str, Stopwatch] = {}
+    scenario = read_scenario(cfg)
+    seconds = scenario.step_length * (BRIDGE_WARM_UP + (steps or 0))
+    end = None if steps is None else scenario.begin + seconds
+    for number, (model, share) in enumerate((("phase", 1.0), ("idm", 0.0))):
+
+        def shown(done: float, text: str, number: int = number, model: str = model) -> None:
+            progress((number + done) / 2, f"{model}: {text}")
+
+        with tempfile.TemporaryDirectory(prefix="phase_sumo_") as folder, Stopwatch(BRIDGE_WARM_UP) as watch:
+            run_scenario(cfg, share=share, model="idm", seed=seed, end=end, output_dir=folder, progress=shown)
+        watches[model] = watch
+    phase, idm = watches["phase"], watches["idm"]
+    if not phase.vehicle_steps:
+        raise PhaseError(f"{cfg}: no vehicle was driven by PHASE after {BRIDGE_WARM_UP} steps")
+    record_cpu, record_wall = phase.cpu.pop("record"), phase.wall["record"]
+    spent = phase.total_cpu - record_cpu
+    parts = phase.cpu | {"rest": spent - sum(phase.cpu.values())}
+    per_vehicle_step = 1e6 / phase.vehicle_steps
+    return _per_step("bridge", phase.vehicle_steps, spent) | {
+        "vehicles": phase.vehicle_steps / phase.decisions,
+        "real_time_factor": phase.steps * scenario.step_length / (phase.total_wall - record_wall),
+        **{f"{part}_cpu_us": per_vehicle_step * seconds for part, seconds in parts.items()},
+        "record_cpu_us": per_vehicle_step * record_cpu,
+        "idm_sumo_cpu_us": per_vehicle_step * idm.cpu["sumo"],
+        "ratio_to_idm_sumo": spent / idm.cpu["sumo"],
     }
 
 

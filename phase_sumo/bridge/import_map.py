@@ -66,7 +66,7 @@ def read_map(
         else:
             options, left_out = _opendrive_options(source), []
         target = folder / f"{network_name(path)}.net.xml"
-        _netconvert(path, [*options, "--output-file", str(target)])
+        netconvert(path, [*options, "--output-file", str(target)])
         try:
             network = read_network(target, keep)
         except PhaseError as error:
@@ -123,7 +123,7 @@ def _opendrive_options(source: Path) -> list[str]:
     return [*options, "--opendrive.curve-resolution", "1", "--no-turnarounds"]
 
 
-def _netconvert(path: Path, options: list[str]) -> None:
+def netconvert(path: Path, options: list[str]) -> None:
     command = [sumolib.checkBinary("netconvert"), *options]
     environment = os.environ | {"SUMO_HOME": sumo.SUMO_HOME}
     try:

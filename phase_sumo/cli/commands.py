@@ -214,8 +214,13 @@ def bench(args: argparse.Namespace) -> Any:
             elif part == "convert":
                 files = find_files(networks, (".net.xml", ".net.xml.gz"))
                 rows = [measure.bench_convert(files, progress)]
+            elif args.cfg:
+                rows = [measure.bench_bridge(Path(args.cfg), None, args.seed, progress)]
             else:
-                rows = [measure.bench_bridge(Path(args.cfg), args.seed, progress)]
+                rows = [
+                    measure.bench_full_freeway(vehicles, args.steps, args.seed, progress)
+                    for vehicles in args.vehicles
+                ]
         for row in rows:
             print("  ".join(f"{k} {f'{v:.4g}' if isinstance(v, float) else v}" for k, v in row.items()))
         results += rows

@@ -8,7 +8,7 @@ from typing import Any
 
 import phase_sumo
 from phase_sumo.cli import commands
-from phase_sumo.cli.files import DEMO, TUNE_TABLE
+from phase_sumo.cli.files import TUNE_TABLE
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -142,8 +142,17 @@ def make_parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--networks", nargs="+", metavar="PATH", help="the clone's held-out networks if left out"
     )
-    sub.add_argument("--cfg", default=str(DEMO), metavar="CFG.sumocfg", help="scenario of the bridge")
-    sub.add_argument("--steps", type=int, default=100, help="simulator steps")
+    sub.add_argument(
+        "--vehicles",
+        type=int,
+        nargs="+",
+        default=[250, 1000, 2000],
+        help="concurrent PHASE vehicles on a synthetic motorway, for the bridge",
+    )
+    sub.add_argument(
+        "--cfg", metavar="CFG.sumocfg", help="measure the bridge on this scenario instead, to its end"
+    )
+    sub.add_argument("--steps", type=int, default=100, help="steps of simulator and bridge")
     sub.add_argument("--threads", type=int, default=1, help="torch threads")
 
     sub = add("demo", commands.demo, "the shipped policy against IDM on the shipped merge scenario")

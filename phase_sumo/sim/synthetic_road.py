@@ -23,19 +23,19 @@ def freeway(lane_km: float) -> LaneNetwork:
             begin = section if way < 0 else sections - 1 - section
             for k in range(LANES):
                 own = len(lanes)
-                points = _line(begin * SECTION, way * (HALF_MEDIAN + (LANES - 1 - k) * WIDTH))
+                along = np.linspace(begin * SECTION, (begin + 1) * SECTION, 51)
+                points = axis(along, way * (HALF_MEDIAN + (LANES - 1 - k) * WIDTH))
                 lanes.append(_lane(f"{'east' if way < 0 else 'west'}{begin}", k, points[::-way], own))
                 if section:
                     successors.append((own - LANES, own))
     return LaneNetwork(f"freeway_{lane_km:g}km", tuple(lanes), tuple(successors))
 
 
-def _line(begin: float, aside: float) -> np.ndarray:
-    """Points about 10 m apart along one section, ``aside`` m to the left of the axis."""
-    x = np.linspace(begin, begin + SECTION, 51)
-    slope = SWING * 2 * np.pi / PERIOD * np.cos(2 * np.pi * x / PERIOD)
-    normal = np.stack((-slope, np.ones_like(x)), -1) / np.hypot(1.0, slope)[:, None]
-    return np.stack((x, SWING * np.sin(2 * np.pi * x / PERIOD)), -1) + aside * normal
+def axis(along: np.ndarray, aside: float) -> np.ndarray:
+    """Points [P, 2] at x = ``along`` m on the road's axis, moved ``aside`` m to its left."""
+    slope = SWING * 2 * np.pi / PERIOD * np.cos(2 * np.pi * along / PERIOD)
+    normal = np.stack((-slope, np.ones_like(along)), -1) / np.hypot(1.0, slope)[:, None]
+    return np.stack((along, SWING * np.sin(2 * np.pi * along / PERIOD)), -1) + aside * normal
 
 
 def _lane(edge: str, k: int, points: np.ndarray, own: int) -> Lane:
