@@ -15,8 +15,10 @@ from phase_sumo.bridge.route import RouteLanes
 from phase_sumo.bridge.table import VehicleTable
 from phase_sumo.config import Actions, SimConfig
 from phase_sumo.sim import kinematics
+from phase_sumo.sim.near import pairs_within, ranges
 from phase_sumo.sim.observation import Observation, appearance, observe
 
+NOBODY, LOW_BITS = np.uint64(2**64 - 1), np.uint64(2**32 - 1)
 SAME_WAY = 0.5  # cosine of the heading difference up to which another vehicle is seen
 
 
@@ -114,22 +116,24 @@ class Controller:
             index of the neighbours' rows and mask, both [len(rows), K].
         """
         table, sim = self._table, self._driver.sim
+        x, y, yaw = table["x"], table["y"], table["yaw"]
         active = np.flatnonzero(table.active)
-        dx = table["x"][rows, None] - table["x"][active]
-        dy = table["y"][rows, None] - table["y"][active]
-        squared = dx * dx + dy * dy
-        squared[np.cos(table["yaw"][rows, None] - table["yaw"][active]) < SAME_WAY] = np.inf
-        squared[rows[:, None] == active] = np.inf
-        count = min(sim.neighbours, len(active))
-        order = np.argpartition(squared, count - 1, axis=1)[:, :count]
-        value = np.take_along_axis(squared, order, 1)
-        nearest_first = np.argsort(value, 1, kind="stable")
-        order, value = (
-            np.take_along_axis(order, nearest_first, 1),
-            np.take_along_axis(value, nearest_first, 1),
+        # some more than are in range, which float32 decides as in training
+        first, second = pairs_within(
+            np.stack((x[rows], y[rows]), -1), np.stack((x[active], y[active]), -1), sim.neighbour_range + 1.0
         )
-        index = np.zeros((len(rows), sim.neighbours), np.int64)
-        mask = np.zeros(index.shape, bool)
-        index[:, :count] = active[order]
-        mask[:, :count] = value < sim.neighbour_range**2
+        own, other = rows[first], active[second]
+        dx, dy = x[own] - x[other], y[own] - y[other]
+        squared = dx * dx + dy * dy
+        same_way = np.cos(yaw[own] - yaw[other]) >= SAME_WAY
+        seen = np.flatnonzero((squared < sim.neighbour_range**2) & same_way & (own != other))
+        first, other, squared = first[seen], other[seen], squared[seen]
+        # one number to sort by, distance before row: the bits of floats >= 0 rise with their value
+        key = squared.view(np.uint32).astype(np.uint64) << np.uint64(32) | other.astype(np.uint64)
+        count = np.bincount(first, minlength=len(rows))
+        ordered = np.full((len(rows), max(int(count.max()), sim.neighbours)), NOBODY)
+        ordered[first, ranges(count)] = key
+        ordered = np.sort(ordered, 1)[:, : sim.neighbours]
+        mask = ordered != NOBODY
+        index = np.where(mask, ordered & LOW_BITS, 0).astype(np.int64)
         return torch.from_numpy(index), torch.from_numpy(mask)

@@ -10,13 +10,13 @@ import torch
 
 from phase_sumo.bridge.choice import Choice
 from phase_sumo.bridge.controller import Controller, Driver
-from phase_sumo.bridge.conventions import angle_from_yaw
 from phase_sumo.bridge.goals import GoalPlanner
 from phase_sumo.bridge.member import Member
 from phase_sumo.bridge.pose import PoseWriter
-from phase_sumo.bridge.road import Road
+from phase_sumo.bridge.road import FloatArray, IntArray, Road
 from phase_sumo.bridge.route import RouteLanes, follow_lanes, kept_stretch, remaining, route_lanes
 from phase_sumo.bridge.scene import Scene
+from phase_sumo.bridge.session import bare
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.events import road_contacts
 from phase_sumo.sim.lanes import LaneNetwork
@@ -57,6 +57,7 @@ class Fleet:
         self._routes: dict[tuple[tuple[str, ...], bool], RouteLanes] = {}
         self._follow = follow_lanes(self._road)
         self._writer = PoseWriter(self._api, self._road, scene.table)
+        self._lane_id = bare(self._api, "vehicle", "getLaneID")
         self._substeps = 1
         self._publish_hitch = publish_hitch
         self.off_road = 0
@@ -95,31 +96,41 @@ class Fleet:
             self._drop(vehicle)
         self._locate()
         self._adopt()
-        for vehicle in list(self._members):
-            self._check(vehicle, time)
+        self._check(time)
         self._watch_road_edge(time)
 
     def drive(self, time: float) -> None:
         """Move the vehicles and tell SUMO where they will be after its next step."""
         routes = {vehicle: member.route for vehicle, member in self._members.items()}
-        nodes = self._controller.drive(time, self._substeps, self._node, routes)
+        before = self._node
+        self._node = self._controller.drive(time, self._substeps, before, routes)
         front_x, front_y = self._table.front
-        angle = angle_from_yaw(self._table["yaw"])
+        for vehicle, past in zip(list(self._members), self._past_end(before, front_x, front_y), strict=True):
+            if past:
+                self._finish(vehicle, self._members[vehicle])
+        rows = self._rows()
+        self._count(rows)
+        front = np.stack((front_x[rows], front_y[rows]), -1)
+        self._writer.write(self._members, rows, self._node[rows], front, time)
+
+    def _rows(self) -> IntArray:
+        """Table rows of the members, in their order."""
+        row_of = self._table.row_of
+        return np.fromiter((row_of[vehicle] for vehicle in self._members), np.int64, len(self._members))
+
+    def _count(self, rows: IntArray) -> None:
+        """Add the step to the trips, and publish hitch angles."""
+        table, trips = self._table, self._scene.trips
         seconds = self._substeps * self._driver.sim.dt
-        for vehicle in list(self._members):
-            row = self._table.row_of[vehicle]
-            member = self._members[vehicle]
-            if self._arrives(member, int(self._node[row]), front_x[row], front_y[row]):
-                self._finish(vehicle, member)
-                continue
-            trip = self._scene.trips[vehicle]
+        metres = table["speed"][rows].astype(np.float64) * seconds
+        for vehicle, driven in zip(self._members, metres.tolist(), strict=True):
+            trip = trips[vehicle]
             trip.policy_seconds += seconds
-            trip.policy_metres += float(self._table["speed"][row]) * seconds
-            if self._publish_hitch and self._table["trailer_length"][row] > 0:
-                self._api.vehicle.setParameter(vehicle, "phase.hitch", f"{self._table['hitch'][row]:.4f}")
-            front = (float(front_x[row]), float(front_y[row]))
-            self._writer.write(vehicle, member, int(nodes[row]), front, float(angle[row]), time)
-        self._node = nodes
+            trip.policy_metres += driven
+        if self._publish_hitch:
+            for row in rows[table["trailer_length"][rows] > 0].tolist():
+                hitch = f"{table['hitch'][row]:.4f}"
+                self._api.vehicle.setParameter(table.ids[row], "phase.hitch", hitch)
 
     def _locate(self) -> None:
         """Nodes of all rows; empty rows and rows that changed hands start anew."""
@@ -127,7 +138,8 @@ class Fleet:
         if len(self._node) < size:
             self._node = np.r_[self._node, np.full(size - len(self._node), -1, np.int64)]
         self._node[~self._table.active] = -1
-        rows = np.flatnonzero(self._table.active)
+        # PHASE vehicles are where they were found after their move
+        rows = np.flatnonzero(self._table.active & ~(self._table.controlled & (self._node >= 0)))
         if len(rows):
             self._node = self._controller.track(self._node, rows)
 
@@ -192,27 +204,39 @@ class Fleet:
                 f"vehicle {vehicle}: parameter {key}={text!r} is no number; correct it"
             ) from None
 
-    def _check(self, vehicle: str, time: float) -> None:
-        """Keep the target speed current; give back, reroute or take out where needed."""
-        member, row = self._members[vehicle], self._table.row_of[vehicle]
-        node = int(self._node[row])
-        if not self._api.vehicle.getLaneID(vehicle):
-            member.off_lane_until = time + KEEP_ON_LANE
-        if node < 0:
-            member.lost_since = time if member.lost_since is None else member.lost_since
-            if time - member.lost_since >= OFF_ROAD_SECONDS:
-                self._remove(vehicle, "off road")
-            return
-        member.lost_since = None
-        lane = int(self._road.graph.node_lane[node])
-        if not np.isfinite(member.route.changes[lane]):
-            self._lost_route(vehicle, member)
-            return
-        self._set_target_speed(member, row, node)
+    def _check(self, time: float) -> None:
+        """Keep the target speeds current; give back, reroute or take out where needed."""
+        members, rows = list(self._members.items()), self._rows()
+        node = self._node[rows]
+        lane = np.where(node >= 0, self._road.graph.node_lane[node], -1)
+        changes = np.array([m.route.changes[k] for (_, m), k in zip(members, lane, strict=True)])
+        on_route = (node >= 0) & np.isfinite(changes)
+        kept = np.flatnonzero(on_route)
+        self._set_target_speeds([members[k][1] for k in kept], rows[kept], node[kept])
+        lane_id = self._lane_id
+        for (vehicle, member), on, at in zip(members, on_route.tolist(), node.tolist(), strict=True):
+            if not lane_id(vehicle):
+                member.off_lane_until = time + KEEP_ON_LANE
+            if on:
+                member.lost_since = None
+                if member.leads_off or not member.edges:
+                    self._check_end(vehicle, member, at)
+            elif at < 0:
+                member.lost_since = time if member.lost_since is None else member.lost_since
+                if time - member.lost_since >= OFF_ROAD_SECONDS:
+                    self._remove(vehicle, "off road")
+            else:
+                member.lost_since = None
+                self._lost_route(vehicle, member)
+
+    def _check_end(self, vehicle: str, member: Member, node: int) -> None:
+        """Give back or take out a vehicle whose stretch of observed road ends."""
         room = remaining(self._road, member.route, node)
-        if member.leads_off and room < HAND_BACK_ROOM and not self._road.network.lanes[lane].connector:
+        connector = self._road.network.lanes[int(self._road.graph.node_lane[node])].connector
+        speed = self._table["speed"][self._table.row_of[vehicle]]
+        if member.leads_off and room < HAND_BACK_ROOM and not connector:
             self._hand_back(vehicle, member)
-        elif not member.edges and room < 2.0 + self._table["speed"][row] * self._scene.session.step_length:
+        elif not member.edges and room < 2.0 + speed * self._scene.session.step_length:
             self._remove(vehicle, "wrong exit")
 
     def _lost_route(self, vehicle: str, member: Member) -> None:
@@ -246,21 +270,37 @@ class Fleet:
         return self._routes[key]
 
     def _set_target_speed(self, member: Member, row: int, node: int) -> None:
-        limit = self._road.network.lanes[int(self._road.graph.node_lane[node])].speed_limit
-        speed = member.target_speed or min(limit * member.speed_factor, member.max_speed)
-        self._table["goal_speed"][row] = min(max(speed, MIN_TARGET_SPEED), MAX_TARGET_SPEED)
+        self._set_target_speeds([member], np.array([row]), np.array([node]))
 
-    def _arrives(self, member: Member, node: int, front_x: float, front_y: float) -> bool:
-        """The new pose is past the end of the last lane of the route."""
-        if member.leads_off or node < 0:
-            return False
-        lane = int(self._road.graph.node_lane[node])
-        if not member.edges or self._road.network.lanes[lane].edge != member.edges[-1]:
-            return False
-        end = int(self._road.first[lane] + self._road.count[lane] - 1)
-        yaw = float(self._road.graph.node_yaw[end])
-        dx, dy = front_x - self._road.graph.node_xy[end, 0], front_y - self._road.graph.node_xy[end, 1]
-        return bool(dx * np.cos(yaw) + dy * np.sin(yaw) > -0.3)
+    def _set_target_speeds(self, members: list[Member], rows: IntArray, node: IntArray) -> None:
+        factor = np.array([m.speed_factor for m in members])
+        highest = np.array([m.max_speed for m in members])
+        wanted = np.array([m.target_speed or 0.0 for m in members])
+        limit = self._road.speed_limit[self._road.graph.node_lane[node]]
+        speed = np.where(wanted > 0, wanted, np.minimum(limit * factor, highest))
+        self._table["goal_speed"][rows] = np.clip(speed, MIN_TARGET_SPEED, MAX_TARGET_SPEED)
+
+    def _past_end(self, node: IntArray, front_x: FloatArray, front_y: FloatArray) -> list[bool]:
+        """Whether each member's new pose is past the end of the last lane of its route.
+
+        Args:
+            node: [N] of the rows before the move.
+            front_x, front_y: [N] after it.
+        """
+        graph, rows = self._road.graph, self._rows()
+        on_road = np.maximum(node[rows], 0)
+        lane = graph.node_lane[on_road]
+        end = self._road.first[lane] + self._road.count[lane] - 1
+        yaw = graph.node_yaw[end].astype(np.float64)
+        dx, dy = (
+            at[rows] - middle for at, middle in zip((front_x, front_y), graph.node_xy[end].T, strict=True)
+        )
+        past = (node[rows] >= 0) & (dx * np.cos(yaw) + dy * np.sin(yaw) > -0.3)
+        for k, (member, i) in enumerate(zip(self._members.values(), lane.tolist(), strict=True)):
+            if past[k]:
+                last = not member.leads_off and bool(member.edges)
+                past[k] = last and self._road.network.lanes[i].edge == member.edges[-1]
+        return past.tolist()
 
     def _finish(self, vehicle: str, member: Member) -> None:
         """SUMO takes the last step of the trip, so that the vehicle arrives in its records."""
@@ -300,8 +340,14 @@ class Fleet:
         rows = np.flatnonzero(self._table.controlled)
         if not len(rows):
             return
-        box = boxes(self._table.shape(), self._table.state())[..., torch.from_numpy(rows)]
-        touching, _ = road_contacts(box, self._road.map, torch.zeros(1, dtype=torch.long), len(rows))
+        towing = self._table["trailer_length"][rows] > 0
+        rows = np.r_[rows[towing], rows[~towing]]  # those with a second box to test come first
+
+        def own(values: torch.Tensor) -> torch.Tensor:
+            return values[:, torch.from_numpy(rows)]
+
+        box = boxes(self._table.shape().map(own), self._table.state().map(own))
+        touching, _ = road_contacts(box, self._road.map, torch.zeros(1, dtype=torch.long), int(towing.sum()))
         for row in rows[touching[0].numpy()].tolist():
             member = self._members[self._table.ids[row]]
             if time - member.edge_contact > EDGE_CONTACT_APART:

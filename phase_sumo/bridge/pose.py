@@ -6,8 +6,10 @@ from types import ModuleType
 
 import numpy as np
 
+from phase_sumo.bridge.conventions import angle_from_yaw
 from phase_sumo.bridge.member import Member
-from phase_sumo.bridge.road import Road
+from phase_sumo.bridge.road import FloatArray, IntArray, Road
+from phase_sumo.bridge.session import bare
 from phase_sumo.bridge.table import VehicleTable
 
 MOVE = 2  # moveToXY keepRoute: exact position, any road
@@ -19,33 +21,40 @@ class PoseWriter:
 
     def __init__(self, api: ModuleType, road: Road, table: VehicleTable) -> None:
         self._api, self._road, self._table = api, road, table
+        self._move = bare(api, "vehicle", "moveToXY")
         self._shapes: dict[str, np.ndarray] = {}
 
     def write(
-        self, vehicle: str, member: Member, node: int, front: tuple[float, float], angle: float, time: float
+        self, members: dict[str, Member], rows: IntArray, node: IntArray, front: FloatArray, time: float
     ) -> None:
-        """Place a vehicle.
+        """Place vehicles.
 
         Args:
-            node: of the front bumper, -1 off the road.
-            front: front bumper centre in m.
-            angle: SUMO's, in degrees.
+            members: by vehicle id.
+            rows: [n] of the members in the table.
+            node: [n] of the front bumpers, -1 off the road.
+            front: [n, 2] front bumper centres in m.
         """
-        row = self._table.row_of[vehicle]
-        self._match_speed(vehicle, member, row, node)
-        if time < member.off_lane_until:
-            front = self._towards_lane(front, row, node)
-        self._api.vehicle.moveToXY(vehicle, "", -1, *front, angle, MOVE, MATCH)
+        self._match_speeds(members, rows, node)
+        angle = angle_from_yaw(self._table["yaw"][rows])
+        move = self._move
+        places = zip(members.items(), front.tolist(), angle.tolist(), strict=True)
+        for k, ((vehicle, member), (x, y), heading) in enumerate(places):
+            if time < member.off_lane_until:
+                x, y = self._towards_lane((x, y), int(rows[k]), int(node[k]))
+            move(vehicle, "", -1, x, y, heading, MOVE, MATCH)
 
-    def _match_speed(self, vehicle: str, member: Member, row: int, node: int) -> None:
+    def _match_speeds(self, members: dict[str, Member], rows: IntArray, node: IntArray) -> None:
         """SUMO clamps the speed it reports to lane limit x factor: keep that above ours."""
-        if node < 0:
-            return
-        limit = self._road.network.lanes[int(self._road.graph.node_lane[node])].speed_limit
-        factor = max(member.speed_factor, 1.0005 * float(self._table["speed"][row]) / max(limit, 0.1))
-        if abs(factor - member.set_factor) > 1e-4:
-            self._api.vehicle.setSpeedFactor(vehicle, factor)
-            member.set_factor = factor
+        ours = list(members.items())
+        limit = self._road.speed_limit[self._road.graph.node_lane[node]]
+        needed = 1.0005 * self._table["speed"][rows].astype(np.float64) / np.maximum(limit, 0.1)
+        factor = np.maximum([member.speed_factor for _, member in ours], needed)
+        change = np.abs(factor - [member.set_factor for _, member in ours]) > 1e-4
+        for k in np.flatnonzero(change & (node >= 0)).tolist():
+            vehicle, member = ours[k]
+            member.set_factor = float(factor[k])
+            self._api.vehicle.setSpeedFactor(vehicle, member.set_factor)
 
     def _towards_lane(self, at: tuple[float, float], row: int, node: int) -> tuple[float, float]:
         """The position nearest to ``at`` that SUMO still counts as on the lane.

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, TracebackType
+from typing import Any
 
 from phase_sumo.errors import PhaseError
 
@@ -80,6 +82,12 @@ class Session:
         lines = [line.strip() for line in self._log.read_text(errors="replace").splitlines() if line.strip()]
         errors = [line for line in lines if line.startswith("Error")]
         return " ".join(errors or lines[-2:])
+
+
+def bare(api: ModuleType, domain: str, name: str) -> Callable[..., Any]:
+    """A function of the api for loops over vehicles: libsumo's own, without the Python around it."""
+    native = getattr(api, "_libsumo", None)
+    return getattr(native, f"{domain}_{name}", None) or getattr(getattr(api, domain), name)
 
 
 def _client(gui: bool) -> ModuleType:

@@ -43,7 +43,7 @@ class Stopwatch:
 
     Attributes:
         cpu, wall: s in each part.
-        steps, decisions, vehicle_steps: of SUMO, calls of the policy, and vehicles that it drove in all of them.
+        steps, decisions, vehicle_steps: of SUMO, calls of the policy, and vehicles driven in all of those.
         total_cpu, total_wall: s from the end of the warm-up to the end of the last step.
     """
 

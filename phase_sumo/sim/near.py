@@ -55,16 +55,17 @@ def pairs_within(query: np.ndarray, points: np.ndarray, radius: float) -> tuple[
     rows = int(max(square[:, 1].max(), home[:, 1].max())) + 3
     key = square[:, 0] * rows + square[:, 1]
     order = np.argsort(key, kind="stable")
-    key = key[order]
+    key, x, y = key[order], points[order, 0], points[order, 1]
     # the three squares of a column are neighbours in the sorted keys
     low = (home[:, :1] + (-1, 0, 1)) * rows + home[:, 1:] - 1
     first, last = np.searchsorted(key, low, "left"), np.searchsorted(key, low + 2, "right")
     counts = (last - first).ravel()
+    before = np.cumsum(counts) - counts
     q = np.repeat(np.arange(len(query)), (last - first).sum(1))
-    p = order[np.repeat(first.ravel(), counts) + ranges(counts)]
-    dx, dy = query[q, 0] - points[p, 0], query[q, 1] - points[p, 1]
-    close = dx * dx + dy * dy <= radius * radius
-    return q[close], p[close]
+    p = np.repeat(first.ravel() - before, counts) + np.arange(len(q))
+    dx, dy = query[:, 0][q] - x[p], query[:, 1][q] - y[p]
+    close = np.flatnonzero(dx * dx + dy * dy <= radius * radius)
+    return q[close], order[p[close]]
 
 
 def nearest(query: np.ndarray, points: np.ndarray, radius: float) -> tuple[IntArray, NDArray[np.float64]]:
