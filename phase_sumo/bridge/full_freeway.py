@@ -13,6 +13,7 @@ HEADWAY, JITTER = 45.0, 6.0  # m between fronts in a lane, and how far each may 
 RUN_OUT = 800.0  # m of empty road ahead of the first vehicles: none arrives within some 25 s
 TRUCKS = (0.4, 0.05, 0.0)  # share of trucks with trailers in each lane from the right: 15 % in all
 SPEEDS = (23.0, 25.0, 28.0)  # m/s at the start, by lane from the right
+POINTS = 21  # of a section: one every 25 m, as in maps of real motorways; moveToXY looks at all of them
 NEAR_END = 10.0  # m of every section kept free, so that junctions need not be known
 WAYS = {"east": -1, "west": 1}  # right-hand traffic: eastbound lies south of the axis
 TYPES = """\
@@ -52,7 +53,7 @@ def _write_network(folder: Path, sections: int) -> None:
             x, y = axis(np.array([k * SECTION]), way * border)[0]
             nodes.append(f'<node id="{name}_n{k}" x="{x:.3f}" y="{y:.3f}" type="priority"/>')
         for k in range(sections):
-            line = axis(np.linspace(k * SECTION, (k + 1) * SECTION, 51), way * border)[::-way]
+            line = axis(np.linspace(k * SECTION, (k + 1) * SECTION, POINTS), way * border)[::-way]
             ends = (k, k + 1) if way < 0 else (k + 1, k)
             shape = " ".join(f"{x:.3f},{y:.3f}" for x, y in line)
             edges.append(
