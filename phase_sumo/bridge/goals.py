@@ -48,13 +48,18 @@ class Occupancy:
 
     def __init__(self, road: Road, table: VehicleTable, node: np.ndarray) -> None:
         self._road = road
-        self._table = table
-        self._lanes: dict[int, list[tuple[int, int]]] = {}
-        for row in np.flatnonzero(table.active & (node >= 0)).tolist():
-            lane = int(road.graph.node_lane[node[row]])
-            self._lanes.setdefault(lane, []).append((road.offset(int(node[row])), row))
-        for vehicles in self._lanes.values():
-            vehicles.sort()
+        self._length = overall_length(table)
+        rows = np.flatnonzero(table.active & (node >= 0))
+        lane = road.graph.node_lane[node[rows]]
+        order = np.argsort(node[rows], kind="stable")  # nodes of a lane lie in a row
+        rows, lane = rows[order], lane[order]
+        offset = node[rows] - road.first[lane]
+        vehicles = list(zip(offset.tolist(), rows.tolist(), strict=True))
+        lanes, first, count = np.unique(lane, return_index=True, return_counts=True)
+        self._lanes: dict[int, list[tuple[int, int]]] = {
+            i: vehicles[k : k + n]
+            for i, k, n in zip(lanes.tolist(), first.tolist(), count.tolist(), strict=True)
+        }
 
     def leader(self, route: RouteLanes, node: int, row: int, reach: float) -> tuple[int, float] | None:
         """Row of the next vehicle ahead along the route and the gap to it in m."""
@@ -66,7 +71,7 @@ class Occupancy:
             begin = bisect_left(vehicles, (start, -1)) if first else 0
             for offset, other in vehicles[begin:]:
                 if other != row:
-                    gap = travelled + offset - self._overall(other)
+                    gap = travelled + offset - self.length(other)
                     return (other, gap) if gap < reach else None
             travelled += float(self._road.metres[lane])
             lane, first = int(route.onward[lane]), False
@@ -92,15 +97,15 @@ class Occupancy:
                     upstream.append((before, distance))
         return best
 
-    def _overall(self, row: int) -> float:
-        return overall_length(self._table, row)
+    def length(self, row: int) -> float:
+        """Bumper to bumper in m, trailer included."""
+        return float(self._length[row])
 
 
-def overall_length(table: VehicleTable, row: int) -> float:
-    """Bumper to bumper in m, trailer included."""
-    front = table["length"][row] - table["rear_overhang"][row]
-    tail = max(table["rear_overhang"][row], table["trailer_length"][row] - table["trailer_setback"][row])
-    return float(front + tail)
+def overall_length(table: VehicleTable) -> np.ndarray:
+    """[N] m, bumper to bumper, trailer included."""
+    front = table["length"] - table["rear_overhang"]
+    return front + np.maximum(table["rear_overhang"], table["trailer_length"] - table["trailer_setback"])
 
 
 class GoalPlanner:
@@ -126,13 +131,15 @@ class GoalPlanner:
         dx, dy = table["goal_x"][rows] - table["x"][rows], table["goal_y"][rows] - table["y"][rows]
         distance = dx * np.cos(table["yaw"][rows]) + dy * np.sin(table["yaw"][rows])
         near = distance < np.maximum(REFRESH_TIME * table["speed"][rows], REFRESH_DISTANCE)
-        occupancy: Occupancy | None = None
-        for row, reached in zip(rows.tolist(), near.tolist(), strict=True):
-            vehicle = table.ids[row]
-            if not reached and time < self._review.get(vehicle, -np.inf) - 1e-6:
-                continue
-            reached |= vehicle not in self._review  # no goal yet
-            occupancy = occupancy or Occupancy(self._road, table, node)
+        vehicles = [table.ids[row] for row in rows.tolist()]
+        review = np.array([self._review.get(vehicle, -np.inf) for vehicle in vehicles])
+        due = np.flatnonzero(near | (time >= review - 1e-6)).tolist()
+        if not due:
+            return
+        occupancy = Occupancy(self._road, table, node)
+        for k in due:
+            row, vehicle = int(rows[k]), vehicles[k]
+            reached = bool(near[k]) or not np.isfinite(review[k])  # or no goal yet
             self._review[vehicle] = time + REVIEW
             self._plan(time, row, int(node[row]), routes[vehicle], occupancy, reached)
 
@@ -243,5 +250,5 @@ class GoalPlanner:
         other, distance = follower
         speed = float(table["speed"][other])
         closing = max(speed - float(table["speed"][row]), 0.0)
-        gap = distance - overall_length(table, row)
+        gap = distance - occupancy.length(row)
         return gap > GAP_MIN + GAP_BEHIND * speed * 0.5 + 3.0 * closing

@@ -46,7 +46,7 @@ class Policy:
         Args:
             generator: samples from the policy with it; None takes the most probable action.
         """
-        logits, _ = self.network(observation)
+        logits = self.network.logits(observation)
         if generator is None or len(logits) == 0:
             return logits.argmax(-1)
         return torch.multinomial(logits.softmax(-1), 1, generator=generator).squeeze(-1)

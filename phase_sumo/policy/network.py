@@ -20,6 +20,10 @@ class ActorCritic(nn.Module):
         super().__init__()
         self.register_buffer("log_prior", log_prior(actions), persistent=False)
 
+    def logits(self, observation: Observation) -> Tensor:
+        """The logits of `forward` alone, for driving, which needs no value."""
+        return self(observation)[0]
+
     def start_from_prior(self, last: nn.Linear) -> None:
         """Let the last layer give the prior's logits: smooth driving from the first step, and KL 0."""
         with torch.no_grad():
@@ -47,9 +51,15 @@ class PolicyNetwork(ActorCritic):
 
     def forward(self, observation: Observation) -> tuple[Tensor, Tensor]:
         """Logits [B, A] and value [B] in fp32 for an observation with one leading axis B."""
-        parts = self.ego(observation.ego), observation.context, self.scene(observation)
-        trunk = self.trunk(torch.cat(parts, -1))
+        trunk = self._trunk(observation)
         return self.policy(trunk).float(), self.value(trunk).float().squeeze(-1)
+
+    def logits(self, observation: Observation) -> Tensor:
+        return self.policy(self._trunk(observation)).float()
+
+    def _trunk(self, observation: Observation) -> Tensor:
+        parts = self.ego(observation.ego), observation.context, self.scene(observation)
+        return self.trunk(torch.cat(parts, -1))
 
 
 def head(width: int, hidden: int, out: int) -> nn.Sequential:
