@@ -251,7 +251,8 @@ def bench_bridge(cfg: Path, steps: int | None, seed: int, progress: Progress) ->
     top where it is on.
 
     Args:
-        steps: of SUMO, measured after the warm-up; None runs the scenario to its end.
+        steps: of SUMO after the warm-up, 2 at least, nothing is decided after the last one; None runs the
+            scenario to its end.
     """
     from phase_sumo.bridge.options import read_scenario
     from phase_sumo.bridge.run import run_scenario

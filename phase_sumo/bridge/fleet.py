@@ -28,6 +28,7 @@ KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer 
 OFF_ROAD_SECONDS = 4.0  # s without a lane after which a vehicle is taken out
 EDGE_CONTACT_APART = 1.0  # s without touching the road edge that end one contact
 MIN_TARGET_SPEED, MAX_TARGET_SPEED = 3.0, 40.0  # m/s
+ROUTES_KEPT = 1000  # whose lanes are remembered for vehicles to come
 SPEED_MODE, LANE_MODE = 96, 0  # SUMO checks nothing while we drive
 SUMO_SPEED_MODE, SUMO_LANE_MODE = 31, 1621  # SUMO's defaults
 VAPORIZED = 3
@@ -94,6 +95,7 @@ class Fleet:
         """After SUMO's step: take over, give back, watch the road edge."""
         for vehicle in set(self._members) - set(self._scene.facts):
             self._drop(vehicle)
+        self._left_to_sumo.intersection_update(self._scene.facts)
         self._locate()
         self._adopt()
         self._check(time)
@@ -266,6 +268,8 @@ class Fleet:
     def _lanes(self, edges: tuple[str, ...], truck: bool) -> RouteLanes:
         key = (edges, truck)
         if key not in self._routes:
+            if len(self._routes) == ROUTES_KEPT:
+                del self._routes[next(iter(self._routes))]  # the oldest
             self._routes[key] = route_lanes(self._road, edges, truck)
         return self._routes[key]
 

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from phase_sumo.bridge.session import bare
 from phase_sumo.bridge.table import SHAPE, VehicleTable
 from phase_sumo.evaluate.trajectories import SAMPLES, Trajectories
 
 SHAPE_COLUMNS = SHAPE[:8]  # all but the truck indicator
+READ = ("LaneID", "LanePosition", "LateralLanePosition")
 KINDS = {"controlled": bool, "vehicle": np.int64, "lane": np.int64}
 
 
@@ -19,6 +21,7 @@ class Recorder:
 
     def __init__(self, api: ModuleType, period: float) -> None:
         self._api = api
+        self._getters = [bare(api, "vehicle", f"get{name}") for name in READ]
         self.period = period
         self._next = -np.inf
         self._frames: list[tuple[np.ndarray, ...]] = []
@@ -36,15 +39,15 @@ class Recorder:
         rows = np.flatnonzero(table.active)
         if not len(rows):
             return
-        vehicle = self._api.vehicle
+        lane_of, position_of, lateral_of = self._getters
         number, lane, position, lateral = [], [], [], []
         for row in rows.tolist():
             name = table.ids[row]
             number.append(self._number(name, table, row, types))
-            lane_id = vehicle.getLaneID(name)
+            lane_id = lane_of(name)
             lane.append(self._lanes.setdefault(lane_id, len(self._lanes)) if lane_id else -1)
-            position.append(vehicle.getLanePosition(name))
-            lateral.append(vehicle.getLateralLanePosition(name))
+            position.append(position_of(name))
+            lateral.append(lateral_of(name))
         self._frames.append(
             (
                 np.full(len(rows), time),

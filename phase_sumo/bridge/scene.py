@@ -14,8 +14,10 @@ from phase_sumo.bridge.conventions import (
     vehicle_kind,
     yaw_from_angle,
 )
-from phase_sumo.bridge.session import Session
+from phase_sumo.bridge.session import Session, bare
 from phase_sumo.bridge.table import VehicleTable
+
+MIRRORED = ("LaneID", "Position", "Angle", "Speed", "Acceleration")
 
 
 @dataclass
@@ -79,6 +81,7 @@ class Scene:
         self._observed = observed_edges
         self._type_facts: dict[str, VehicleFacts] = {}
         self._edge_of: dict[str, str] = {}
+        self._getters = [bare(self.api, "vehicle", f"get{name}") for name in MIRRORED]
 
     def update(self) -> None:
         """Read what the last step of SUMO changed; rows of controlled vehicles are left alone."""
@@ -149,14 +152,15 @@ class Scene:
         self.trips[vehicle] = Trip(vehicle, kind, time, float(self.api.vehicle.getDepartDelay(vehicle)))
 
     def _mirror(self, present: tuple[str, ...]) -> None:
-        table, api = self.table, self.api.vehicle
+        table = self.table
+        lane_id, place, heading, velocity, acceleration = self._getters
         rows, x, y, angle, speed, accel, overhang = [], [], [], [], [], [], []
         fresh: list[int] = []
         for vehicle in present:
             row = table.row_of.get(vehicle)
             if row is not None and table.controlled[row]:
                 continue
-            lane = api.getLaneID(vehicle)
+            lane = lane_id(vehicle)
             if not self._is_observed(lane, row is not None):
                 if row is not None:
                     table.remove(vehicle)
@@ -166,13 +170,13 @@ class Scene:
                 row = table.add(vehicle, self.facts[vehicle].shape)
                 fresh.append(len(rows))
             self.lane_of[vehicle] = lane
-            position = api.getPosition(vehicle)
+            position = place(vehicle)
             rows.append(row)
             x.append(position[0])
             y.append(position[1])
-            angle.append(api.getAngle(vehicle))
-            speed.append(api.getSpeed(vehicle))
-            accel.append(api.getAcceleration(vehicle))
+            angle.append(heading(vehicle))
+            speed.append(velocity(vehicle))
+            accel.append(acceleration(vehicle))
             overhang.append(self.facts[vehicle].shape.front_overhang)
         if not rows:
             return
