@@ -239,8 +239,11 @@ def bench_full_freeway(vehicles: int, steps: int, seed: int, progress: Progress)
     """`bench_bridge` on a synthetic motorway that holds ``vehicles`` from the first step on."""
     from phase_sumo.bridge.full_freeway import write_full_freeway
 
+    if vehicles < 1 or steps < 2:
+        raise PhaseError(f"--vehicles {vehicles} --steps {steps}: pass 1 vehicle and 2 steps at least")
+    seconds = 0.1 * (BRIDGE_WARM_UP + steps)
     with tempfile.TemporaryDirectory(prefix="phase_sumo_") as folder:
-        cfg = write_full_freeway(Path(folder), vehicles, seed)
+        cfg = write_full_freeway(Path(folder), vehicles, seconds, seed)
         return bench_bridge(cfg, steps, seed, progress)
 
 

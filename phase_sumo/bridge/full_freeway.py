@@ -10,7 +10,7 @@ from phase_sumo.bridge.import_map import netconvert
 from phase_sumo.sim.synthetic_road import HALF_MEDIAN, LANES, SECTION, WIDTH, axis
 
 HEADWAY, JITTER = 45.0, 6.0  # m between fronts in a lane, and how far each may be off its even place
-RUN_OUT = 800.0  # m of empty road ahead of the first vehicles: none arrives within some 25 s
+FASTEST = 40.0  # m/s: as far ahead of the first vehicles the road is empty, so that none arrives
 TRUCKS = (0.4, 0.05, 0.0)  # share of trucks with trailers in each lane from the right: 15 % in all
 SPEEDS = (23.0, 25.0, 28.0)  # m/s at the start, by lane from the right
 POINTS = 21  # of a section: one every 25 m, as in maps of real motorways; moveToXY looks at all of them
@@ -30,14 +30,17 @@ CONFIGURATION = """\
 """
 
 
-def write_full_freeway(folder: Path, vehicles: int, seed: int) -> Path:
+def write_full_freeway(folder: Path, vehicles: int, seconds: float, seed: int) -> Path:
     """Write network, demand and configuration: two carriageways of three lanes, full at once.
+
+    Args:
+        seconds: that no vehicle arrives within.
 
     Returns:
         The ``.sumocfg``; its steps are 0.1 s long and SUMO's own model is IDM.
     """
     places = -(-vehicles // (len(WAYS) * LANES))  # of a lane
-    sections = int(np.ceil((places * HEADWAY + RUN_OUT) / SECTION))
+    sections = int(np.ceil((places * HEADWAY + seconds * FASTEST) / SECTION))
     _write_network(folder, sections)
     (folder / "full.rou.xml").write_text(_demand(vehicles, places, sections, np.random.default_rng(seed)))
     config = folder / "full.sumocfg"

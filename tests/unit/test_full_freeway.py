@@ -8,10 +8,11 @@ from phase_sumo.bench import bench_full_freeway
 from phase_sumo.bridge.full_freeway import write_full_freeway
 from phase_sumo.bridge.session import Session
 from phase_sumo.bridge.stopwatch import PARTS
+from phase_sumo.errors import PhaseError
 
 
 def test_all_vehicles_drive_from_the_first_step_to_the_last_one_measured(tmp_path):
-    config = write_full_freeway(tmp_path, 60, seed=3)
+    config = write_full_freeway(tmp_path, 60, seconds=15.0, seed=3)
     with Session(["-c", str(config), "--no-step-log", "true"], tmp_path) as session:
         for _ in range(150):
             session.step()
@@ -28,7 +29,7 @@ def test_the_same_seed_makes_the_same_demand(tmp_path):
     demand = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         (tmp_path / name).mkdir()
-        write_full_freeway(tmp_path / name, 20, seed)
+        write_full_freeway(tmp_path / name, 20, 5.0, seed)
         demand.append((tmp_path / name / "full.rou.xml").read_bytes())
     assert demand[0] == demand[1]
     assert demand[0] != demand[2]
@@ -47,3 +48,9 @@ def test_measuring_leaves_the_bridge_as_it_was():
     before = [getattr(owner, name) for owner, name in PARTS.values()]
     bench_full_freeway(6, steps=2, seed=0, progress=lambda done, text: None)
     assert [getattr(owner, name) for owner, name in PARTS.values()] == before
+
+
+@pytest.mark.parametrize(("vehicles", "steps"), [(0, 100), (10, 1)])
+def test_nothing_to_measure_is_refused(vehicles, steps):
+    with pytest.raises(PhaseError, match=rf"--vehicles {vehicles} --steps {steps}"):
+        bench_full_freeway(vehicles, steps, seed=0, progress=lambda done, text: None)
