@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from phase_sumo.bridge.adoption import Adoption
 from phase_sumo.bridge.choice import Choice
 from phase_sumo.bridge.controller import Controller, Driver
 from phase_sumo.bridge.conventions import angle_from_yaw
@@ -22,13 +23,11 @@ from phase_sumo.sim.events import road_contacts
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.vehicles import boxes
 
-ADOPT_ROOM = 150.0  # m of observed road ahead below which a vehicle is left to SUMO
 HAND_BACK_ROOM = 100.0  # m before the end of the observed road at which SUMO takes over again
 KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer to a lane
 OFF_ROAD_SECONDS = 4.0  # s without a lane after which a vehicle is taken out
 EDGE_CONTACT_APART = 1.0  # s without touching the road edge that end one contact
 MIN_TARGET_SPEED, MAX_TARGET_SPEED = 3.0, 40.0  # m/s
-SPEED_MODE, LANE_MODE = 96, 0  # SUMO checks nothing while we drive
 SUMO_SPEED_MODE, SUMO_LANE_MODE = 31, 1621  # SUMO's defaults
 VAPORIZED = 3
 
@@ -47,15 +46,15 @@ class Fleet:
     ) -> None:
         """``publish_hitch`` keeps the hitch angle in rad in each trailer's parameter ``phase.hitch``."""
         self._scene, self._table, self._api = scene, scene.table, scene.api
-        self._driver, self._choice = driver, choice
+        self._driver = driver
         self._road = Road(network)
         self._planner = GoalPlanner(self._road, scene.table)
         self._controller = Controller(self._road, scene.table, driver, self._planner)
         self._members: dict[str, Member] = {}
-        self._left_to_sumo: set[str] = set()
         self._node = np.full(len(scene.table), -1, np.int64)
         self._routes: dict[tuple[tuple[str, ...], bool], RouteLanes] = {}
         self._follow = follow_lanes(self._road)
+        self._adoption = Adoption(scene, self._road, choice, driver.sim, self._lanes)
         self._writer = PoseWriter(self._api, self._road, scene.table)
         self._substeps = 1
         self._publish_hitch = publish_hitch
@@ -132,65 +131,10 @@ class Fleet:
             self._node = self._controller.track(self._node, rows)
 
     def _adopt(self) -> None:
-        for vehicle, lane in list(self._scene.lane_of.items()):
-            if vehicle in self._left_to_sumo or vehicle in self._members or lane.startswith(":"):
-                continue
-            facts = self._scene.facts[vehicle]
-            if facts.kind is None or not self._wanted(vehicle, facts.type):
-                self._left_to_sumo.add(vehicle)
-                continue
+        for vehicle, member in self._adoption.take_over(self._node, self._members):
+            self._members[vehicle] = member
             row = self._table.row_of[vehicle]
-            if self._node[row] < 0:
-                continue
-            route = tuple(self._api.vehicle.getRoute(vehicle))
-            at = self._api.vehicle.getRouteIndex(vehicle)
-            edges = kept_stretch(self._road, route, at)
-            if not edges:
-                continue
-            lanes = self._lanes(edges, bool(facts.shape.truck))
-            leads_off = at + len(edges) < len(route)
-            if leads_off and remaining(self._road, lanes, int(self._node[row])) < ADOPT_ROOM:
-                continue
-            self._take(vehicle, row, Member(lanes, edges, leads_off, 1.0, MAX_TARGET_SPEED))
-
-    def _wanted(self, vehicle: str, kind: str) -> bool:
-        if self._api.vehicletype.getParameter(kind, "has.phase.device").lower() in ("false", "0", "no"):
-            return False
-        return self._choice.chosen(vehicle, kind)
-
-    def _take(self, vehicle: str, row: int, member: Member) -> None:
-        api, table = self._api.vehicle, self._table
-        member.speed_factor = member.set_factor = float(api.getSpeedFactor(vehicle))
-        member.max_speed = float(api.getMaxSpeed(vehicle))
-        member.target_speed = self._parameter(vehicle, "phase.target_speed")
-        api.setSpeedMode(vehicle, SPEED_MODE)
-        api.setLaneChangeMode(vehicle, LANE_MODE)
-        table.controlled[row] = True
-        table["alpha"][row] = self._parameter(vehicle, "phase.alpha") or self._choice.alpha_of(vehicle)
-        low, high = self._accel_bounds(row)
-        table["accel"][row] = np.clip(table["accel"][row], low, high)
-        table["accel_history"][row] = table["accel"][row]
-        self._members[vehicle] = member
-        self._scene.lane_of.pop(vehicle, None)
-        self._scene.trips[vehicle].adopted = True
-        self._set_target_speed(member, row, int(self._node[row]))
-
-    def _accel_bounds(self, row: int) -> tuple[float, float]:
-        sim = self._driver.sim
-        return sim.truck_accel_bounds if self._table["truck"][row] else sim.accel_bounds
-
-    def _parameter(self, vehicle: str, key: str) -> float | None:
-        """A number that the vehicle or its vType carries as a generic parameter."""
-        text = self._api.vehicle.getParameter(vehicle, key)
-        text = text or self._api.vehicletype.getParameter(self._scene.types[vehicle], key)
-        if not text:
-            return None
-        try:
-            return float(text)
-        except ValueError:
-            raise PhaseError(
-                f"vehicle {vehicle}: parameter {key}={text!r} is no number; correct it"
-            ) from None
+            self._set_target_speed(member, row, int(self._node[row]))
 
     def _check(self, vehicle: str, time: float) -> None:
         """Keep the target speed current; give back, reroute or take out where needed."""
@@ -293,7 +237,7 @@ class Fleet:
 
     def _drop(self, vehicle: str) -> None:
         del self._members[vehicle]
-        self._left_to_sumo.add(vehicle)
+        self._adoption.left_to_sumo.add(vehicle)
         self._planner.forget(vehicle)
 
     def _watch_road_edge(self, time: float) -> None:

@@ -1,0 +1,111 @@
+"""Taking vehicles over from SUMO: which, when, and what SUMO is told about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Iterator
+
+import numpy as np
+
+from phase_sumo.bridge.choice import Choice
+from phase_sumo.bridge.member import Member
+from phase_sumo.bridge.road import Road
+from phase_sumo.bridge.route import RouteLanes, kept_stretch, remaining
+from phase_sumo.bridge.scene import Scene
+from phase_sumo.config import SimConfig
+from phase_sumo.errors import PhaseError
+
+ADOPT_ROOM = 150.0  # m of observed road ahead below which a vehicle is left to SUMO
+SPEED_MODE, LANE_MODE = 96, 0  # SUMO checks nothing while we drive
+
+
+class Adoption:
+    """Looks at SUMO's vehicles on the observed road and takes over those that are chosen.
+
+    Attributes:
+        left_to_sumo: vehicles that were looked at or driven and stay with SUMO.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        road: Road,
+        choice: Choice,
+        sim: SimConfig,
+        lanes: Callable[[tuple[str, ...], bool], RouteLanes],
+    ) -> None:
+        """``lanes`` gives the route lanes of a stretch of edges, for a truck or not."""
+        self._scene, self._road, self._choice, self._sim, self._lanes = scene, road, choice, sim, lanes
+        self._api, self._table = scene.api, scene.table
+        self.left_to_sumo: set[str] = set()
+
+    def take_over(self, node: np.ndarray, driven: Container[str]) -> Iterator[tuple[str, Member]]:
+        """Vehicles that are the policy's from now on.
+
+        Args:
+            node: [N] node of each row's front bumper, -1 off the road.
+            driven: ids of those that it drives already.
+        """
+        for vehicle, lane in list(self._scene.lane_of.items()):
+            if vehicle in self.left_to_sumo or vehicle in driven or lane.startswith(":"):
+                continue
+            facts = self._scene.facts[vehicle]
+            if facts.kind is None or not self._wanted(vehicle, facts.type):
+                self.left_to_sumo.add(vehicle)
+                continue
+            row = self._table.row_of[vehicle]
+            found = self._stretch(vehicle, int(node[row]), bool(facts.shape.truck))
+            if found:
+                yield vehicle, self._take(vehicle, row, *found)
+
+    def _stretch(
+        self, vehicle: str, node: int, truck: bool
+    ) -> tuple[RouteLanes, tuple[str, ...], bool] | None:
+        """Lanes and edges of the route's next stretch on the observed road, and whether it leads off it."""
+        if node < 0:
+            return None
+        route = tuple(self._api.vehicle.getRoute(vehicle))
+        at = self._api.vehicle.getRouteIndex(vehicle)
+        edges = kept_stretch(self._road, route, at)
+        if not edges:
+            return None
+        lanes = self._lanes(edges, truck)
+        leads_off = at + len(edges) < len(route)
+        if leads_off and remaining(self._road, lanes, node) < ADOPT_ROOM:
+            return None
+        return lanes, edges, leads_off
+
+    def _wanted(self, vehicle: str, kind: str) -> bool:
+        if self._api.vehicletype.getParameter(kind, "has.phase.device").lower() in ("false", "0", "no"):
+            return False
+        return self._choice.chosen(vehicle, kind)
+
+    def _take(
+        self, vehicle: str, row: int, lanes: RouteLanes, edges: tuple[str, ...], leads_off: bool
+    ) -> Member:
+        api, table = self._api.vehicle, self._table
+        factor = float(api.getSpeedFactor(vehicle))
+        member = Member(lanes, edges, leads_off, factor, float(api.getMaxSpeed(vehicle)), set_factor=factor)
+        member.target_speed = self._parameter(vehicle, "phase.target_speed")
+        api.setSpeedMode(vehicle, SPEED_MODE)
+        api.setLaneChangeMode(vehicle, LANE_MODE)
+        table.controlled[row] = True
+        table["alpha"][row] = self._parameter(vehicle, "phase.alpha") or self._choice.alpha_of(vehicle)
+        bounds = self._sim.truck_accel_bounds if table["truck"][row] else self._sim.accel_bounds
+        table["accel"][row] = np.clip(table["accel"][row], *bounds)
+        table["accel_history"][row] = table["accel"][row]
+        self._scene.lane_of.pop(vehicle, None)
+        self._scene.trips[vehicle].adopted = True
+        return member
+
+    def _parameter(self, vehicle: str, key: str) -> float | None:
+        """A number that the vehicle or its vType carries as a generic parameter."""
+        text = self._api.vehicle.getParameter(vehicle, key)
+        text = text or self._api.vehicletype.getParameter(self._scene.types[vehicle], key)
+        if not text:
+            return None
+        try:
+            return float(text)
+        except ValueError:
+            raise PhaseError(
+                f"vehicle {vehicle}: parameter {key}={text!r} is no number; correct it"
+            ) from None
