@@ -7,11 +7,12 @@ from collections.abc import Callable, Container, Iterator
 import numpy as np
 
 from phase_sumo.bridge.choice import Choice
+from phase_sumo.bridge.context import Parameters
+from phase_sumo.bridge.drivers import Drivers
 from phase_sumo.bridge.member import Member
 from phase_sumo.bridge.road import Road
 from phase_sumo.bridge.route import RouteLanes, kept_stretch, remaining
 from phase_sumo.bridge.scene import Scene
-from phase_sumo.config import SimConfig
 from phase_sumo.errors import PhaseError
 
 ADOPT_ROOM = 150.0  # m of observed road ahead below which a vehicle is left to SUMO
@@ -30,13 +31,20 @@ class Adoption:
         scene: Scene,
         road: Road,
         choice: Choice,
-        sim: SimConfig,
+        drivers: Drivers,
         lanes: Callable[[tuple[str, ...], bool], RouteLanes],
     ) -> None:
         """``lanes`` gives the route lanes of a stretch of edges, for a truck or not."""
-        self._scene, self._road, self._choice, self._sim, self._lanes = scene, road, choice, sim, lanes
+        self._scene, self._road, self._choice, self._drivers, self._lanes = (
+            scene,
+            road,
+            choice,
+            drivers,
+            lanes,
+        )
         self._api, self._table = scene.api, scene.table
         self.left_to_sumo: set[str] = set()
+        self._asked = 0
 
     def take_over(self, node: np.ndarray, driven: Container[str]) -> Iterator[tuple[str, Member]]:
         """Vehicles that are the policy's from now on.
@@ -75,9 +83,12 @@ class Adoption:
         return lanes, edges, leads_off
 
     def _wanted(self, vehicle: str, kind: str) -> bool:
-        if self._api.vehicletype.getParameter(kind, "has.phase.device").lower() in ("false", "0", "no"):
-            return False
-        return self._choice.chosen(vehicle, kind)
+        marks = Parameters(self._api, vehicle, kind).marks()
+        certain = self._choice.certain(vehicle, marks)
+        if certain is not None:
+            return certain
+        self._asked += 1
+        return self._choice.drawn(vehicle, kind, self._asked - 1, marks.share)
 
     def _take(
         self, vehicle: str, row: int, lanes: RouteLanes, edges: tuple[str, ...], leads_off: bool
@@ -85,27 +96,25 @@ class Adoption:
         api, table = self._api.vehicle, self._table
         factor = float(api.getSpeedFactor(vehicle))
         member = Member(lanes, edges, leads_off, factor, float(api.getMaxSpeed(vehicle)), set_factor=factor)
-        member.target_speed = self._parameter(vehicle, "phase.target_speed")
         api.setSpeedMode(vehicle, SPEED_MODE)
         api.setLaneChangeMode(vehicle, LANE_MODE)
         table.controlled[row] = True
-        table["alpha"][row] = self._parameter(vehicle, "phase.alpha") or self._choice.alpha_of(vehicle)
-        bounds = self._sim.truck_accel_bounds if table["truck"][row] else self._sim.accel_bounds
+        self.read_context(vehicle, row, member)
+        sim = self._drivers[int(table.driver[row])].sim
+        bounds = sim.truck_accel_bounds if table["truck"][row] else sim.accel_bounds
         table["accel"][row] = np.clip(table["accel"][row], *bounds)
         table["accel_history"][row] = table["accel"][row]
         self._scene.lane_of.pop(vehicle, None)
         self._scene.trips[vehicle].adopted = True
         return member
 
-    def _parameter(self, vehicle: str, key: str) -> float | None:
-        """A number that the vehicle or its vType carries as a generic parameter."""
-        text = self._api.vehicle.getParameter(vehicle, key)
-        text = text or self._api.vehicletype.getParameter(self._scene.types[vehicle], key)
-        if not text:
-            return None
+    def read_context(self, vehicle: str, row: int, member: Member) -> None:
+        """Alpha, target speed and policy as the vehicle's parameters say now."""
+        context = Parameters(self._api, vehicle, self._scene.types[vehicle]).context()
         try:
-            return float(text)
-        except ValueError:
-            raise PhaseError(
-                f"vehicle {vehicle}: parameter {key}={text!r} is no number; correct it"
-            ) from None
+            self._table.driver[row] = self._drivers.number(context.policy)
+        except PhaseError as error:
+            raise PhaseError(f"vehicle {vehicle!r}: parameter phase.policy: {error}") from None
+        alpha = context.alpha
+        self._table["alpha"][row] = self._choice.alpha_of(vehicle) if alpha is None else alpha
+        member.target_speed = context.target_speed

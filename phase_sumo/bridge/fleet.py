@@ -10,8 +10,10 @@ import torch
 
 from phase_sumo.bridge.adoption import Adoption
 from phase_sumo.bridge.choice import Choice
-from phase_sumo.bridge.controller import Controller, Driver
+from phase_sumo.bridge.context import TARGET_SPEEDS
+from phase_sumo.bridge.controller import Controller
 from phase_sumo.bridge.conventions import angle_from_yaw
+from phase_sumo.bridge.drivers import Drivers
 from phase_sumo.bridge.goals import GoalPlanner
 from phase_sumo.bridge.member import Member
 from phase_sumo.bridge.pose import PoseWriter
@@ -27,7 +29,6 @@ HAND_BACK_ROOM = 100.0  # m before the end of the observed road at which SUMO ta
 KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer to a lane
 OFF_ROAD_SECONDS = 4.0  # s without a lane after which a vehicle is taken out
 EDGE_CONTACT_APART = 1.0  # s without touching the road edge that end one contact
-MIN_TARGET_SPEED, MAX_TARGET_SPEED = 3.0, 40.0  # m/s
 SUMO_SPEED_MODE, SUMO_LANE_MODE = 31, 1621  # SUMO's defaults
 VAPORIZED = 3
 
@@ -42,19 +43,25 @@ class Fleet:
     """
 
     def __init__(
-        self, scene: Scene, network: LaneNetwork, driver: Driver, choice: Choice, publish_hitch: bool = False
+        self,
+        scene: Scene,
+        network: LaneNetwork,
+        drivers: Drivers,
+        choice: Choice,
+        publish_hitch: bool = False,
     ) -> None:
         """``publish_hitch`` keeps the hitch angle in rad in each trailer's parameter ``phase.hitch``."""
         self._scene, self._table, self._api = scene, scene.table, scene.api
-        self._driver = driver
+        self._drivers = drivers
         self._road = Road(network)
         self._planner = GoalPlanner(self._road, scene.table)
-        self._controller = Controller(self._road, scene.table, driver, self._planner)
+        self._controller = Controller(self._road, scene.table, drivers, self._planner)
         self._members: dict[str, Member] = {}
+        self._released: set[str] = set()
         self._node = np.full(len(scene.table), -1, np.int64)
         self._routes: dict[tuple[tuple[str, ...], bool], RouteLanes] = {}
         self._follow = follow_lanes(self._road)
-        self._adoption = Adoption(scene, self._road, choice, driver.sim, self._lanes)
+        self._adoption = Adoption(scene, self._road, choice, drivers, self._lanes)
         self._writer = PoseWriter(self._api, self._road, scene.table)
         self._substeps = 1
         self._publish_hitch = publish_hitch
@@ -80,7 +87,7 @@ class Fleet:
 
     def check_step(self, step_length: float) -> None:
         """SUMO's step must hold a whole number of ours."""
-        dt = self._driver.sim.dt
+        dt = self._drivers.dt
         self._substeps = round(step_length / dt)
         if self._substeps < 1 or abs(self._substeps * dt - step_length) > 1e-6:
             raise PhaseError(
@@ -88,12 +95,31 @@ class Fleet:
                 f"pass -- --step-length {max(self._substeps, 1) * dt:g}"
             )
 
+    def take(self, vehicle: str) -> None:
+        """Drive it from the next step on, or once its road is observed."""
+        self._released.discard(vehicle)
+        self._adoption.left_to_sumo.discard(vehicle)
+
+    def release(self, vehicle: str) -> None:
+        """Give it back to SUMO with the next step."""
+        self._released.add(vehicle)
+        self._adoption.left_to_sumo.add(vehicle)
+
+    def read_context(self, vehicle: str) -> None:
+        """Drive by what the vehicle's ``phase.*`` parameters say now."""
+        member = self._members.get(vehicle)
+        if member:
+            self._adoption.read_context(vehicle, self._table.row_of[vehicle], member)
+
     def follow_sumo(self, time: float) -> None:
         """After SUMO's step: take over, give back, watch the road edge."""
         for vehicle in set(self._members) - set(self._scene.facts):
             self._drop(vehicle)
         self._locate()
         self._adopt()
+        for vehicle in self._released & set(self._members):
+            self._hand_back(vehicle, self._members[vehicle])
+        self._released.clear()
         for vehicle in list(self._members):
             self._check(vehicle, time)
         self._watch_road_edge(time)
@@ -104,7 +130,7 @@ class Fleet:
         nodes = self._controller.drive(time, self._substeps, self._node, routes)
         front_x, front_y = self._table.front
         angle = angle_from_yaw(self._table["yaw"])
-        seconds = self._substeps * self._driver.sim.dt
+        seconds = self._substeps * self._drivers.dt
         for vehicle in list(self._members):
             row = self._table.row_of[vehicle]
             member = self._members[vehicle]
@@ -169,7 +195,7 @@ class Fleet:
             return
         goal = member.edges[-1] if member.edges else ""
         route: tuple[str, ...] = ()
-        with contextlib.suppress(self._api.TraCIException):
+        with contextlib.suppress(self._scene.session.refused):
             self._api.vehicle.changeTarget(vehicle, goal)
             route = tuple(self._api.vehicle.getRoute(vehicle))
             route = route[self._api.vehicle.getRouteIndex(vehicle) :]
@@ -192,7 +218,8 @@ class Fleet:
     def _set_target_speed(self, member: Member, row: int, node: int) -> None:
         limit = self._road.network.lanes[int(self._road.graph.node_lane[node])].speed_limit
         speed = member.target_speed or min(limit * member.speed_factor, member.max_speed)
-        self._table["goal_speed"][row] = min(max(speed, MIN_TARGET_SPEED), MAX_TARGET_SPEED)
+        low, high = TARGET_SPEEDS
+        self._table["goal_speed"][row] = min(max(speed, low), high)
 
     def _arrives(self, member: Member, node: int, front_x: float, front_y: float) -> bool:
         """The new pose is past the end of the last lane of the route."""
