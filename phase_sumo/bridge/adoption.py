@@ -35,15 +35,11 @@ class Adoption:
         lanes: Callable[[tuple[str, ...], bool], RouteLanes],
     ) -> None:
         """``lanes`` gives the route lanes of a stretch of edges, for a truck or not."""
-        self._scene, self._road, self._choice, self._drivers, self._lanes = (
-            scene,
-            road,
-            choice,
-            drivers,
-            lanes,
-        )
-        self._api, self._table = scene.api, scene.table
+        self._scene, self._api, self._table = scene, scene.api, scene.table
+        self._road, self._lanes = road, lanes
+        self._choice, self._drivers = choice, drivers
         self.left_to_sumo: set[str] = set()
+        self._waiting: set[str] = set()  # chosen, but not where they can be taken over
         self._asked = 0
 
     def take_over(self, node: np.ndarray, driven: Container[str]) -> Iterator[tuple[str, Member]]:
@@ -57,12 +53,15 @@ class Adoption:
             if vehicle in self.left_to_sumo or vehicle in driven or lane.startswith(":"):
                 continue
             facts = self._scene.facts[vehicle]
-            if facts.kind is None or not self._wanted(vehicle, facts.type):
-                self.left_to_sumo.add(vehicle)
-                continue
+            if vehicle not in self._waiting:
+                if facts.kind is None or not self._wanted(vehicle, facts.type):
+                    self.left_to_sumo.add(vehicle)
+                    continue
+                self._waiting.add(vehicle)
             row = self._table.row_of[vehicle]
             found = self._stretch(vehicle, int(node[row]), bool(facts.shape.truck))
             if found:
+                self._waiting.remove(vehicle)
                 yield vehicle, self._take(vehicle, row, *found)
 
     def _stretch(

@@ -117,7 +117,7 @@ class Fleet:
             self._drop(vehicle)
         self._locate()
         self._adopt()
-        for vehicle in self._released & set(self._members):
+        for vehicle in [v for v in self._members if v in self._released]:
             self._hand_back(vehicle, self._members[vehicle])
         self._released.clear()
         for vehicle in list(self._members):

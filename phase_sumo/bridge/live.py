@@ -154,7 +154,8 @@ class PhaseFleet(StepListener):
             policy: file.
         """
         fleet, api = self._checked(vehicle), self.simulation.api.vehicle
-        given = {"alpha": alpha, "target_speed": target_speed, "policy": policy}
+        file = None if policy is None else Path(policy).resolve()
+        given = {"alpha": alpha, "target_speed": target_speed, "policy": file}
         texts = {f"phase.{name}": str(value) for name, value in given.items() if value is not None}
         before = {key: api.getParameter(vehicle, key) for key in texts}
         for key, text in texts.items():
@@ -175,7 +176,7 @@ class PhaseFleet(StepListener):
         self._closed = True
         if self._pending:
             self._pending = False
-            with suppress(PhaseError):
+            with suppress(PhaseError, self.simulation.failed):  # SUMO may have ended already
                 self.simulation.step()
 
     def report(self) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time as clock
 from contextlib import redirect_stdout
 from pathlib import Path
 from types import TracebackType
@@ -21,13 +22,14 @@ class Simulation:
     Attributes:
         api: the ``libsumo`` or ``traci`` module, or one of traci's connections.
         step_length: s.
-        refused: what the api raises when SUMO refuses a call.
+        refused, failed: what the api raises when SUMO refuses a call, and when it cannot go on.
     """
 
     def __init__(self, api: Any, error_log: Path | None = None) -> None:
         self.api = api
         self.step_length = float(api.simulation.getDeltaT())
         self.refused: type[Exception] = getattr(api, "TraCIException", traci.TraCIException)
+        self.failed: type[Exception] = getattr(api, "FatalTraCIError", traci.FatalTraCIError)
         self._error_log = error_log
 
     @property
@@ -40,8 +42,8 @@ class Simulation:
         time = self.time
         try:
             self.api.simulationStep()
-        except (self.refused, traci.FatalTraCIError) as error:
-            raise PhaseError(f"SUMO stopped at {time:g} s: {_reason(self._error_log) or error}") from None
+        except (self.refused, self.failed) as error:
+            raise PhaseError(f"SUMO stopped at {time:g} s: {_reason(self._error_log, error)}") from None
 
 
 class Session:
@@ -81,7 +83,7 @@ class Session:
                 self._api = libsumo
                 libsumo.start([binary, *args])
         except Exception as error:
-            raise PhaseError(f"SUMO did not start: {_reason(self._log) or error}") from None
+            raise PhaseError(f"SUMO did not start: {_reason(self._log, error)}") from None
         _running = True
         return Simulation(self._api, self._log)
 
@@ -108,10 +110,13 @@ def _start_sumo(binary: str, args: list[str]) -> None:
         traci.start([program, *args])
 
 
-def _reason(log: Path | None) -> str:
-    """SUMO's own words, where its errors are written to a file."""
-    if log is None or not log.is_file():
-        return ""
-    lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
+def _reason(log: Path | None, error: Exception) -> str:
+    """SUMO's own words in one line, from its error log where that has some."""
+    for _ in range(20 if isinstance(error, traci.FatalTraCIError) else 0):  # SUMO's process is still ending
+        if log and log.is_file() and log.stat().st_size:
+            break
+        clock.sleep(0.05)
+    text = log.read_text(errors="replace") if log and log.is_file() else ""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
     errors = [line for line in lines if line.startswith("Error")]
-    return " ".join(errors or lines[-2:])
+    return " ".join(errors or lines[-2:] or str(error).split())

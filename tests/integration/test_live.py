@@ -223,6 +223,20 @@ def test_a_missing_policy_names_the_vehicle(scenario):
         run_scenario(path, policy=Standin(), seed=1)
 
 
+@pytest.mark.parametrize("over_traci", [False, True])
+def test_sumo_failing_on_the_way_is_one_clear_error_and_no_harm_to_the_next_run(scenario, over_traci):
+    lost = vehicle("lost", "plain", 6).replace("main2", "nowhere")
+    path = scenario(vehicle("a", "plain", 0), vehicle("b", "plain", 5), lost)
+    path.write_text(
+        path.read_text().replace("<time>", '<processing><route-steps value="1"/></processing><time>')
+    )
+    with pytest.raises(PhaseError, match=r"SUMO stopped at .* s: .*nowhere") as raised:
+        run_scenario(path, policy=Standin(), seed=1, over_traci=over_traci)
+    assert "\n" not in str(raised.value)
+    path = scenario(vehicle("a", "plain", 0))
+    assert run_scenario(path, policy=Standin(), seed=1, end=2, over_traci=over_traci)["phase_vehicles"] == 1
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
