@@ -265,13 +265,21 @@ def bench_bridge(cfg: Path, steps: int | None, seed: int, progress: Progress) ->
     scenario = read_scenario(cfg)
     seconds = scenario.step_length * (BRIDGE_WARM_UP + (steps or 0))
     end = None if steps is None else scenario.begin + seconds
-    for number, (model, share) in enumerate((("phase", 1.0), ("idm", 0.0))):
+    for number, model in enumerate(("phase", "idm")):
 
         def shown(done: float, text: str, number: int = number, model: str = model) -> None:
             progress((number + done) / 2, f"{model}: {text}")
 
         with tempfile.TemporaryDirectory(prefix="phase_sumo_") as folder, Stopwatch(BRIDGE_WARM_UP) as watch:
-            run_scenario(cfg, share=share, model="idm", seed=seed, end=end, output_dir=folder, progress=shown)
+            run_scenario(
+                cfg,
+                phase=model == "phase",
+                model="idm",
+                seed=seed,
+                end=end,
+                output_dir=folder,
+                progress=shown,
+            )
         watches[model] = watch
     phase, idm = watches["phase"], watches["idm"]
     if not phase.vehicle_steps:

@@ -11,8 +11,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from phase_sumo.bridge.controller import Driver
+from phase_sumo.bridge.choice import Choice
 from phase_sumo.bridge.demand import sumo_model
+from phase_sumo.bridge.drivers import Driver
 from phase_sumo.bridge.network import read_network
 from phase_sumo.bridge.options import read_scenario
 from phase_sumo.bridge.processes import run_all
@@ -61,9 +62,11 @@ def compare(
     out_dir: str | Path,
     seeds: int | Sequence[int] = 1,
     policy: Driver | str | Path | None = None,
-    share: float = 1.0,
+    share: float | None = None,
     types: Sequence[str] | None = None,
     alpha: float | tuple[float, float] | None = None,
+    explicit: Sequence[str] = (),
+    deterministic: bool = False,
     roads: Literal["freeway", "all"] = "freeway",
     end: float | None = None,
     sumo_options: Sequence[str] = (),
@@ -82,7 +85,7 @@ def compare(
         seeds: how many (1, 2, ...) or which.
         jobs: simulations at a time.
         progress: called with the fraction done and a line of text.
-        policy, share, types, alpha, roads, end, sumo_options: see `run_scenario`.
+        policy, share, types, alpha, explicit, deterministic, roads, end, sumo_options: see `run_scenario`.
 
     Returns:
         scenario, models, seeds, section, ``runs`` (one dict per model and seed), ``summary`` (mean and std
@@ -108,7 +111,10 @@ def compare(
         {
             "cfg": str(cfg),
             "policy": policy,
-            "share": share if model == "phase" else 0.0,
+            "phase": model == "phase",
+            "share": share,
+            "explicit": tuple(explicit),
+            "deterministic": deterministic,
             "types": tuple(types or ()),
             "alpha": alpha,
             "seed": seed,
@@ -136,7 +142,7 @@ def compare(
         "roads": roads,
         "models": models,
         "seeds": numbers,
-        "share": share,
+        "share": Choice(share, explicit=tuple(explicit)).probability,
         "types": list(types or ()),
         "alpha": list(alpha) if isinstance(alpha, tuple) else alpha,
         "policy": _policy_name(policy),

@@ -3,37 +3,24 @@
 from __future__ import annotations
 
 import time as clock
-from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from phase_sumo.bridge.drivers import Driver, Drivers
 from phase_sumo.bridge.goals import GoalPlanner
 from phase_sumo.bridge.road import Road
 from phase_sumo.bridge.route import RouteLanes
 from phase_sumo.bridge.table import VehicleTable
-from phase_sumo.config import Actions, SimConfig
+from phase_sumo.config import SimConfig
 from phase_sumo.sim import kinematics
 from phase_sumo.sim.near import pairs_within, ranges
-from phase_sumo.sim.observation import Observation, appearance, observe
+from phase_sumo.sim.observation import Appearance, appearance, observe
+from phase_sumo.sim.vehicles import VehicleState
 
 NOBODY, LOW_BITS = np.uint64(2**64 - 1), np.uint64(2**32 - 1)
 SAME_WAY = 0.5  # cosine of the heading difference up to which another vehicle is seen
-
-
-class Driver(Protocol):
-    """What drives: `phase_sumo.policy.checkpoint.Policy`, or a stand-in in tests."""
-
-    @property
-    def sim(self) -> SimConfig: ...
-
-    @property
-    def actions(self) -> Actions: ...
-
-    def act(self, observation: Observation, generator: torch.Generator | None = None) -> Tensor:
-        """Action tokens [A] of the observing agents."""
-        ...
 
 
 class Controller:
@@ -43,8 +30,8 @@ class Controller:
         cpu, decisions: CPU seconds spent on observing, deciding and moving, and vehicle steps decided.
     """
 
-    def __init__(self, road: Road, table: VehicleTable, driver: Driver, planner: GoalPlanner) -> None:
-        self._road, self._table, self._driver, self._planner = road, table, driver, planner
+    def __init__(self, road: Road, table: VehicleTable, drivers: Drivers, planner: GoalPlanner) -> None:
+        self._road, self._table, self._drivers, self._planner = road, table, drivers, planner
         self._map_index = torch.zeros(1, dtype=torch.long)
         self.cpu = 0.0
         self.decisions = 0
@@ -63,7 +50,7 @@ class Controller:
         Returns:
             [N] nodes after the move.
         """
-        table, dt = self._table, self._driver.sim.dt
+        table, dt = self._table, self._drivers.dt
         others = np.flatnonzero(table.active & ~table.controlled)
         before = {name: table[name][others].copy() for name in ("x", "y")}
         for k in range(substeps):
@@ -89,24 +76,32 @@ class Controller:
     @torch.no_grad()
     def _step(self, rows: np.ndarray) -> None:
         begin = clock.process_time()
-        table, driver = self._table, self._driver
-        driven = torch.from_numpy(rows)
+        table = self._table
         every = appearance(table.shape(), table.state())
+        by = table.driver[rows]
+        groups = [(rows[by == number], driver) for number, driver in enumerate(self._drivers)]
+        moved = [(own, self._next(own, driver, every)) for own, driver in groups if len(own)]
+        for own, state in moved:  # all have seen the same traffic
+            table.take(state, own)
+        self.cpu += clock.process_time() - begin
+        self.decisions += len(rows)
+
+    def _next(self, rows: np.ndarray, driver: Driver, every: Appearance) -> VehicleState:
+        """States [len(rows)] one policy step later, under one driver."""
+        table, driven = self._table, torch.from_numpy(rows)
 
         def own(values: Tensor) -> Tensor:
             return values[0, driven]
 
         shape, state, task = table.shape().map(own), table.state().map(own), table.task().map(own)
-        index, mask = self._neighbours(rows)
+        index, mask = self._neighbours(rows, driver.sim)
         others = every.map(lambda values: values[0, index])
         cell = self._road.map.cell(self._map_index, state.x.unsqueeze(0), state.y.unsqueeze(0)).squeeze(0)
         seen = observe(shape, state, task, others, mask, self._road.map, cell, driver.sim)
         jerk, rate = kinematics.command(driver.act(seen), state, task.alpha, driver.actions, driver.sim.dt)
-        table.take(kinematics.advance(shape, state, jerk, rate, driver.sim), rows)
-        self.cpu += clock.process_time() - begin
-        self.decisions += len(rows)
+        return kinematics.advance(shape, state, jerk, rate, driver.sim)
 
-    def _neighbours(self, rows: np.ndarray) -> tuple[Tensor, Tensor]:
+    def _neighbours(self, rows: np.ndarray, sim: SimConfig) -> tuple[Tensor, Tensor]:
         """As `neighbours.nearest`, for some rows, without traffic that runs in another direction.
 
         Training maps are single carriageways; the opposite one and roads on other levels would only take
@@ -115,7 +110,7 @@ class Controller:
         Returns:
             index of the neighbours' rows and mask, both [len(rows), K].
         """
-        table, sim = self._table, self._driver.sim
+        table = self._table
         x, y, yaw = table["x"], table["y"], table["yaw"]
         active = np.flatnonzero(table.active)
         # some more than are in range, which float32 decides as in training

@@ -7,6 +7,7 @@ tractor and trailer.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -110,27 +111,44 @@ def vehicle_kind(vehicle_class: str, length: float) -> Kind | None:
 
 
 def shape_from_type(vehicle_class: str, length: float, width: float) -> ShapeRow:
-    """Geometry of a vType: SUMO's box split into tractor and trailer, or with axles put in.
+    """Geometry of a vType.
 
     A vehicle class that PHASE does not drive is treated as a car-like box: it is only looked at.
     """
-    kind = vehicle_kind(vehicle_class, length) or "car"
-    body = float(np.clip(TRACTOR_SHARE * length, *TRACTOR_LENGTH)) if kind == "articulated" else length
+    return vehicle_shape(vehicle_kind(vehicle_class, length) or "car", length, width, {})
+
+
+def vehicle_shape(kind: Kind, overall: float, width: float, given: Mapping[str, float]) -> ShapeRow:
+    """SUMO's box split into tractor and trailer, or with axles put in.
+
+    Args:
+        overall, width: of the box in m.
+        given: dimensions of `VehicleShape` that are known, in m; the others follow from the box.
+    """
+    setback = given.get("trailer_setback", TRAILER_SETBACK)
+    body = overall
+    if kind == "articulated":
+        body = float(np.clip(TRACTOR_SHARE * overall, *TRACTOR_LENGTH))
+        if "trailer_length" in given:  # the tractor is what is left
+            front = overall - given["trailer_length"] + setback
+            overhang = given.get("rear_overhang")
+            body = front / (1.0 - REAR_OVERHANG[kind]) if overhang is None else front + overhang
+    body = given.get("length", body)
     row = ShapeRow(
         length=body,
-        width=width,
-        wheelbase=WHEELBASE[kind] * body,
-        rear_overhang=REAR_OVERHANG[kind] * body,
+        width=given.get("width", width),
+        wheelbase=given.get("wheelbase", WHEELBASE[kind] * body),
+        rear_overhang=given.get("rear_overhang", REAR_OVERHANG[kind] * body),
         truck=kind != "car",
     )
     if kind != "articulated":
         return row
-    trailer = length - row.front_overhang + TRAILER_SETBACK
+    trailer = given.get("trailer_length", overall - row.front_overhang + setback)
     return row._replace(
         trailer_length=trailer,
-        trailer_width=width,
-        trailer_base=TRAILER_BASE * trailer,
-        trailer_setback=TRAILER_SETBACK,
+        trailer_width=given.get("trailer_width", width),
+        trailer_base=given.get("trailer_base", TRAILER_BASE * trailer),
+        trailer_setback=setback,
     )
 
 

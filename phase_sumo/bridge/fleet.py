@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from phase_sumo.bridge.adoption import Adoption
 from phase_sumo.bridge.choice import Choice
-from phase_sumo.bridge.controller import Controller, Driver
+from phase_sumo.bridge.context import TARGET_SPEEDS
+from phase_sumo.bridge.controller import Controller
+from phase_sumo.bridge.drivers import Drivers
 from phase_sumo.bridge.goals import GoalPlanner
 from phase_sumo.bridge.member import Member
 from phase_sumo.bridge.pose import PoseWriter
@@ -22,14 +25,11 @@ from phase_sumo.sim.events import road_contacts
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.vehicles import boxes
 
-ADOPT_ROOM = 150.0  # m of observed road ahead below which a vehicle is left to SUMO
 HAND_BACK_ROOM = 100.0  # m before the end of the observed road at which SUMO takes over again
 KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer to a lane
 OFF_ROAD_SECONDS = 4.0  # s without a lane after which a vehicle is taken out
 EDGE_CONTACT_APART = 1.0  # s without touching the road edge that end one contact
-MIN_TARGET_SPEED, MAX_TARGET_SPEED = 3.0, 40.0  # m/s
 ROUTES_KEPT = 1000  # whose lanes are remembered for vehicles to come
-SPEED_MODE, LANE_MODE = 96, 0  # SUMO checks nothing while we drive
 SUMO_SPEED_MODE, SUMO_LANE_MODE = 31, 1621  # SUMO's defaults
 VAPORIZED = 3
 
@@ -44,19 +44,25 @@ class Fleet:
     """
 
     def __init__(
-        self, scene: Scene, network: LaneNetwork, driver: Driver, choice: Choice, publish_hitch: bool = False
+        self,
+        scene: Scene,
+        network: LaneNetwork,
+        drivers: Drivers,
+        choice: Choice,
+        publish_hitch: bool = False,
     ) -> None:
         """``publish_hitch`` keeps the hitch angle in rad in each trailer's parameter ``phase.hitch``."""
         self._scene, self._table, self._api = scene, scene.table, scene.api
-        self._driver, self._choice = driver, choice
+        self._drivers = drivers
         self._road = Road(network)
         self._planner = GoalPlanner(self._road, scene.table)
-        self._controller = Controller(self._road, scene.table, driver, self._planner)
+        self._controller = Controller(self._road, scene.table, drivers, self._planner)
         self._members: dict[str, Member] = {}
-        self._left_to_sumo: set[str] = set()
+        self._released: set[str] = set()
         self._node = np.full(len(scene.table), -1, np.int64)
         self._routes: dict[tuple[tuple[str, ...], bool], RouteLanes] = {}
         self._follow = follow_lanes(self._road)
+        self._adoption = Adoption(scene, self._road, choice, drivers, self._lanes)
         self._writer = PoseWriter(self._api, self._road, scene.table)
         self._lane_id = bare(self._api, "vehicle", "getLaneID")
         self._substeps = 1
@@ -83,7 +89,7 @@ class Fleet:
 
     def check_step(self, step_length: float) -> None:
         """SUMO's step must hold a whole number of ours."""
-        dt = self._driver.sim.dt
+        dt = self._drivers.dt
         self._substeps = round(step_length / dt)
         if self._substeps < 1 or abs(self._substeps * dt - step_length) > 1e-6:
             raise PhaseError(
@@ -91,13 +97,32 @@ class Fleet:
                 f"pass -- --step-length {max(self._substeps, 1) * dt:g}"
             )
 
+    def take(self, vehicle: str) -> None:
+        """Drive it from the next step on, or once its road is observed."""
+        self._released.discard(vehicle)
+        self._adoption.left_to_sumo.discard(vehicle)
+
+    def release(self, vehicle: str) -> None:
+        """Give it back to SUMO with the next step."""
+        self._released.add(vehicle)
+        self._adoption.left_to_sumo.add(vehicle)
+
+    def read_context(self, vehicle: str) -> None:
+        """Drive by what the vehicle's ``phase.*`` parameters say now."""
+        member = self._members.get(vehicle)
+        if member:
+            self._adoption.read_context(vehicle, self._table.row_of[vehicle], member)
+
     def follow_sumo(self, time: float) -> None:
         """After SUMO's step: take over, give back, watch the road edge."""
         for vehicle in set(self._members) - set(self._scene.facts):
             self._drop(vehicle)
-        self._left_to_sumo.intersection_update(self._scene.facts)
+        self._adoption.forget_absent()
         self._locate()
         self._adopt()
+        for vehicle in [v for v in self._members if v in self._released]:
+            self._hand_back(vehicle, self._members[vehicle])
+        self._released.clear()
         self._check(time)
         self._watch_road_edge(time)
 
@@ -123,7 +148,7 @@ class Fleet:
     def _count(self, rows: IntArray) -> None:
         """Add the step to the trips, and publish hitch angles."""
         table, trips = self._table, self._scene.trips
-        seconds = self._substeps * self._driver.sim.dt
+        seconds = self._substeps * self._drivers.dt
         metres = table["speed"][rows].astype(np.float64) * seconds
         for vehicle, driven in zip(self._members, metres.tolist(), strict=True):
             trip = trips[vehicle]
@@ -146,65 +171,8 @@ class Fleet:
             self._node = self._controller.track(self._node, rows)
 
     def _adopt(self) -> None:
-        for vehicle, lane in list(self._scene.lane_of.items()):
-            if vehicle in self._left_to_sumo or vehicle in self._members or lane.startswith(":"):
-                continue
-            facts = self._scene.facts[vehicle]
-            if facts.kind is None or not self._wanted(vehicle, facts.type):
-                self._left_to_sumo.add(vehicle)
-                continue
-            row = self._table.row_of[vehicle]
-            if self._node[row] < 0:
-                continue
-            route = tuple(self._api.vehicle.getRoute(vehicle))
-            at = self._api.vehicle.getRouteIndex(vehicle)
-            edges = kept_stretch(self._road, route, at)
-            if not edges:
-                continue
-            lanes = self._lanes(edges, bool(facts.shape.truck))
-            leads_off = at + len(edges) < len(route)
-            if leads_off and remaining(self._road, lanes, int(self._node[row])) < ADOPT_ROOM:
-                continue
-            self._take(vehicle, row, Member(lanes, edges, leads_off, 1.0, MAX_TARGET_SPEED))
-
-    def _wanted(self, vehicle: str, kind: str) -> bool:
-        if self._api.vehicletype.getParameter(kind, "has.phase.device").lower() in ("false", "0", "no"):
-            return False
-        return self._choice.chosen(vehicle, kind)
-
-    def _take(self, vehicle: str, row: int, member: Member) -> None:
-        api, table = self._api.vehicle, self._table
-        member.speed_factor = member.set_factor = float(api.getSpeedFactor(vehicle))
-        member.max_speed = float(api.getMaxSpeed(vehicle))
-        member.target_speed = self._parameter(vehicle, "phase.target_speed")
-        api.setSpeedMode(vehicle, SPEED_MODE)
-        api.setLaneChangeMode(vehicle, LANE_MODE)
-        table.controlled[row] = True
-        table["alpha"][row] = self._parameter(vehicle, "phase.alpha") or self._choice.alpha_of(vehicle)
-        low, high = self._accel_bounds(row)
-        table["accel"][row] = np.clip(table["accel"][row], low, high)
-        table["accel_history"][row] = table["accel"][row]
-        self._members[vehicle] = member
-        self._scene.lane_of.pop(vehicle, None)
-        self._scene.trips[vehicle].adopted = True
-        self._set_target_speed(member, row, int(self._node[row]))
-
-    def _accel_bounds(self, row: int) -> tuple[float, float]:
-        sim = self._driver.sim
-        return sim.truck_accel_bounds if self._table["truck"][row] else sim.accel_bounds
-
-    def _parameter(self, vehicle: str, key: str) -> float | None:
-        """A number that the vehicle or its vType carries as a generic parameter."""
-        text = self._api.vehicle.getParameter(vehicle, key)
-        text = text or self._api.vehicletype.getParameter(self._scene.types[vehicle], key)
-        if not text:
-            return None
-        try:
-            return float(text)
-        except ValueError:
-            raise PhaseError(
-                f"vehicle {vehicle}: parameter {key}={text!r} is no number; correct it"
-            ) from None
+        for vehicle, member in self._adoption.take_over(self._node, self._members):
+            self._members[vehicle] = member
 
     def _check(self, time: float) -> None:
         """Keep the target speeds current; give back, reroute or take out where needed."""
@@ -251,7 +219,7 @@ class Fleet:
             return
         goal = member.edges[-1] if member.edges else ""
         route: tuple[str, ...] = ()
-        with contextlib.suppress(self._api.TraCIException):
+        with contextlib.suppress(self._scene.session.refused):
             self._api.vehicle.changeTarget(vehicle, goal)
             route = tuple(self._api.vehicle.getRoute(vehicle))
             route = route[self._api.vehicle.getRouteIndex(vehicle) :]
@@ -273,16 +241,13 @@ class Fleet:
             self._routes[key] = route_lanes(self._road, edges, truck)
         return self._routes[key]
 
-    def _set_target_speed(self, member: Member, row: int, node: int) -> None:
-        self._set_target_speeds([member], np.array([row]), np.array([node]))
-
     def _set_target_speeds(self, members: list[Member], rows: IntArray, node: IntArray) -> None:
         factor = np.array([m.speed_factor for m in members])
         highest = np.array([m.max_speed for m in members])
         wanted = np.array([m.target_speed or 0.0 for m in members])
         limit = self._road.speed_limit[self._road.graph.node_lane[node]]
         speed = np.where(wanted > 0, wanted, np.minimum(limit * factor, highest))
-        self._table["goal_speed"][rows] = np.clip(speed, MIN_TARGET_SPEED, MAX_TARGET_SPEED)
+        self._table["goal_speed"][rows] = np.clip(speed, *TARGET_SPEEDS)
 
     def _past_end(self, node: IntArray, front_x: FloatArray, front_y: FloatArray) -> list[bool]:
         """Whether each member's new pose is past the end of the last lane of its route.
@@ -337,7 +302,7 @@ class Fleet:
 
     def _drop(self, vehicle: str) -> None:
         del self._members[vehicle]
-        self._left_to_sumo.add(vehicle)
+        self._adoption.left_to_sumo.add(vehicle)
         self._planner.forget(vehicle)
 
     def _watch_road_edge(self, time: float) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 
@@ -29,6 +30,7 @@ FORCED = {
     "collision.action": "warn",
     "collision.mingap-factor": "0",
 }
+SUMO_OPTIONS = tuple(text for name, value in FORCED.items() for text in (f"--{name}", value))
 FORCED_IF_SET = {"time-to-teleport.highways": "-1", "time-to-teleport.disconnected": "-1"}
 # Ours unless the user's own options say otherwise
 QUIET = {
@@ -102,6 +104,34 @@ def read_scenario(path: str | Path, sumo_options: list[str] | tuple[str, ...] = 
         end=end if end >= 0 else None,
         step_length=_seconds(path, "step-length", merged.get("step-length", "1")),
     )
+
+
+def check_options(api: Any) -> None:
+    """Refuse a simulation that somebody started without what PHASE needs.
+
+    Args:
+        api: ``libsumo``, ``traci`` or one of its connections.
+    """
+    option = api.simulation.getOption
+    needed = " ".join(SUMO_OPTIONS)
+    if option("mesosim") == "true":
+        raise PhaseError("SUMO runs with mesosim: PHASE needs positions in the lane; start it without")
+    if option("collision.action") != FORCED["collision.action"]:
+        raise PhaseError(
+            f"SUMO runs with collision.action={option('collision.action')}: it would move PHASE vehicles "
+            f"that touch; start it with {needed}"
+        )
+    for name, below in (
+        ("time-to-teleport", 0.0),
+        ("time-to-teleport.highways", 0.0),
+        ("time-to-teleport.disconnected", -1e-3),
+        ("lanechange.duration", 0.0),
+    ):
+        text = option(name)
+        if _seconds(Path("SUMO"), name, text) > below:
+            value = "0" if name == "lanechange.duration" else "-1"
+            why = "SUMO may crash" if name == "lanechange.duration" else "it would move PHASE vehicles"
+            raise PhaseError(f"SUMO runs with {name}={text}: {why}; start it with --{name} {value}")
 
 
 def command(
@@ -212,6 +242,11 @@ def _refuse(path: Path, merged: dict[str, str], user: dict[str, str]) -> None:
     ):
         if float(merged.get(name, "0") or 0) > 0:
             raise PhaseError(f"{path}: option {name}={merged[name]}: {why}; pass -- --{name} 0")
+    for name in merged:
+        if name.startswith("device.phase."):
+            raise PhaseError(
+                f"{path}: option {name}: SUMO does not know it; pass it to phase-sumo, see --help"
+            )
     for name in ("load-state", "configuration-file", "net-file"):
         if name in user and name != "net-file":
             raise PhaseError(f"SUMO option --{name}: not supported after --; put it into the scenario file")

@@ -12,19 +12,15 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from phase_sumo.bridge.choice import Choice
-from phase_sumo.bridge.contacts import ContactMonitor, write_contacts
-from phase_sumo.bridge.controller import Driver
+from phase_sumo.bridge.contacts import write_contacts
 from phase_sumo.bridge.demand import sumo_model
-from phase_sumo.bridge.fleet import Fleet
-from phase_sumo.bridge.network import read_network
-from phase_sumo.bridge.options import SumoScenario, command, read_scenario
+from phase_sumo.bridge.drivers import Driver
+from phase_sumo.bridge.live import PhaseFleet
+from phase_sumo.bridge.options import command, read_scenario
 from phase_sumo.bridge.recorder import Recorder
-from phase_sumo.bridge.scene import Scene, Trip
-from phase_sumo.bridge.session import Session
-from phase_sumo.errors import PhaseError
+from phase_sumo.bridge.scene import Trip
+from phase_sumo.bridge.session import Session, Simulation
 from phase_sumo.policy.checkpoint import load_policy
-from phase_sumo.sim.lanes import LaneNetwork
 
 Progress = Callable[[float, str], None]
 RECORD_PERIOD = 0.2  # s between recorded frames, or SUMO's step where that is longer
@@ -34,14 +30,18 @@ def run_scenario(
     cfg: str | Path,
     *,
     policy: Driver | str | Path | None = None,
-    share: float = 1.0,
+    share: float | None = None,
     types: Sequence[str] | None = None,
     alpha: float | tuple[float, float] | None = None,
+    explicit: Sequence[str] = (),
+    deterministic: bool = False,
+    phase: bool = True,
     seed: int | None = None,
     model: str | None = None,
     roads: Literal["freeway", "all"] = "freeway",
     end: float | None = None,
     gui: bool = False,
+    over_traci: bool = False,
     sumo_options: Sequence[str] = (),
     output_dir: str | Path | None = None,
     record: bool = True,
@@ -53,15 +53,19 @@ def run_scenario(
         cfg: a ``.sumocfg``.
         policy: a loaded policy or its file; None loads the shipped one.
         share: of the vehicles that PHASE may drive, 0..1; the same seed and id always decide alike, and a
-            larger share adds vehicles to those of a smaller one. 0 is plain SUMO.
-        types: vTypes that PHASE may drive; empty for all that it can.
+            larger share adds vehicles to those of a smaller one. None is 1, or 0 with ``explicit`` ids.
+        types: vTypes that the share is taken of; empty for all that PHASE can drive.
         alpha: longitudinal action range of every vehicle, or bounds to draw it from (see `Choice`).
+        explicit: ids of vehicles that PHASE drives in any case.
+        deterministic: meet the share by counting vehicles instead of drawing.
+        phase: False leaves every vehicle to SUMO, whatever is said of it.
         seed: SUMO's and ours; None keeps the scenario's for SUMO and takes 0 for us.
         model: SUMO car-following model (``"idm"``, ``"krauss"`` ...) for all vehicles that SUMO drives; None
             leaves what the scenario says.
         roads: ``"freeway"`` observes and drives motorways and ramps only, ``"all"`` every road.
         end: stop at this time in s instead of the scenario's end.
         gui: show SUMO's window.
+        over_traci: run SUMO in a process of its own, through TraCI instead of libsumo.
         sumo_options: further SUMO options, e.g. ``["--fcd-output", "fcd.xml"]``.
         output_dir: folder for SUMO's and our outputs: ``result.json``, ``events.csv``, ``trips.csv``,
             ``trajectories.npz``. None leaves SUMO's outputs where the scenario puts them, without ours.
@@ -77,14 +81,8 @@ def run_scenario(
     Raises:
         PhaseError: the scenario or an argument cannot be used.
     """
-    if not 0.0 <= share <= 1.0:
-        raise PhaseError(f"share {share:g} is not between 0 and 1")
     scenario = read_scenario(cfg, tuple(sumo_options))
-    network = read_network(scenario.net, roads)
-    driver: Driver | None = None
-    if share > 0:
-        driver = load_policy(policy) if policy is None or isinstance(policy, str | Path) else policy
-    choice = Choice(share=share, types=tuple(types or ()), alpha=alpha, seed=seed or 0)
+    driver = load_policy(policy) if phase and (policy is None or isinstance(policy, str | Path)) else policy
     keep = nullcontext(str(output_dir)) if output_dir else tempfile.TemporaryDirectory(prefix="phase_sumo_")
     with keep as folder:
         work_dir = Path(folder)
@@ -97,134 +95,78 @@ def run_scenario(
             end=end,
         )
         stop = end if end is not None else scenario.end
-        with Session(args, work_dir, gui) as session:
-            run = _Run(session, scenario, network, driver, choice)
-            recorder = (
-                Recorder(session.api, max(RECORD_PERIOD, session.step_length))
-                if output_dir and record
-                else None
+        with Session(args, work_dir, gui, over_traci) as simulation:
+            fleet = PhaseFleet(
+                simulation.api,
+                driver,
+                share=share,
+                types=types or (),
+                alpha=alpha,
+                explicit=explicit,
+                deterministic=deterministic,
+                seed=seed or 0,
+                roads=roads,
+                drives=phase,
             )
-            run.loop(stop, recorder, progress)
+            period = max(RECORD_PERIOD, simulation.step_length)
+            recorder = Recorder(simulation.api, period) if output_dir and record else None
+            try:
+                wall = _loop(simulation, fleet, stop, recorder, progress)
+            finally:
+                fleet.close()
             trajectories = recorder.finish() if recorder else None
-            result = run.result()
+            report = fleet.report()
+        rate = report["sim_seconds"] / wall if wall else math.nan
+        result = {"scenario": str(scenario.path), **report, "wall_seconds": wall, "real_time_factor": rate}
         if output_dir:
-            write_contacts(work_dir / "events.csv", run.monitor.contacts)
-            write_trips(work_dir / "trips.csv", run.scene.trips.values())
+            write_contacts(work_dir / "events.csv", fleet.contacts)
+            write_trips(work_dir / "trips.csv", fleet.scene.trips.values())
             if trajectories is not None:
                 trajectories.save(work_dir / "trajectories.npz")
             (work_dir / "result.json").write_text(json.dumps(result, indent=1) + "\n")
     return result
 
 
-class _Run:
-    """The loop over SUMO's steps and what it counts."""
-
-    def __init__(
-        self,
-        session: Session,
-        scenario: SumoScenario,
-        network: LaneNetwork,
-        driver: Driver | None,
-        choice: Choice,
-    ) -> None:
-        self.session = session
-        self.scenario = scenario
-        self.choice = choice
-        edges = frozenset(lane.edge for lane in network.lanes if not lane.connector)
-        self.scene = Scene(session, edges)
-        self.monitor = ContactMonitor()
-        hitch = "phase.hitch" in scenario.value("fcd-output.params")
-        self.fleet = Fleet(self.scene, network, driver, choice, hitch) if driver else None
-        self.begin = session.time
-        self.wall = 0.0
-
-    def loop(self, stop: float | None, recorder: Recorder | None, progress: Progress | None) -> None:
-        """Step until ``stop`` s, or until the demand is used up."""
-        started = shown = clock.perf_counter()
-        simulation = self.session.api.simulation
-        if self.fleet:
-            self.fleet.check_step(self.session.step_length)
-        while True:
-            self.session.step()
-            time = self.session.time
-            self.scene.update()
-            if self.fleet:
-                self.fleet.follow_sumo(time)
-            self.monitor.update(self.scene.table, time, self.scene.types)
-            if recorder and recorder.due(time):
-                recorder.sample(time, self.scene.table, self.scene.types)
-            if simulation.getMinExpectedNumber() == 0 or (stop is not None and time >= stop - 1e-6):
-                break  # a pose that SUMO never steps to would crash libsumo's next simulation
-            if self.fleet:
-                self.fleet.drive(time)
-            now = clock.perf_counter()
-            if progress and now - shown > 0.2:
-                shown = now
-                progress(self._fraction(time, stop), self._line(time))
-        self.wall = clock.perf_counter() - started
-        if progress:
-            progress(1.0, self._line(self.session.time))
-
-    def _fraction(self, time: float, stop: float | None) -> float:
-        if stop is not None:
-            return (time - self.begin) / max(stop - self.begin, 1e-6)
-        left = self.session.api.simulation.getMinExpectedNumber()
-        return 1.0 - left / max(left + len(self.scene.trips) - len(self.scene.facts), 1)
-
-    def _line(self, time: float) -> str:
-        phase, contacts = int(self.scene.table.controlled.sum()), len(self.monitor.contacts)
-        return f"{time:.0f} s: {len(self.scene.facts)} vehicles, {phase} PHASE, {contacts} contacts"
-
-    def result(self) -> dict[str, Any]:
-        """What the run counts, by the names of the command line's JSON."""
-        trips = list(self.scene.trips.values())
-        phase = [t for t in trips if t.adopted]
-        contacts = self.monitor.contacts
-        sim_seconds = self.session.time - self.begin
-        accounts = self.scene.accounts()
-        travel = [t.arrive - t.depart for t in trips if math.isfinite(t.arrive)]
-        result: dict[str, Any] = {
-            "scenario": str(self.scenario.path),
-            "share": self.choice.share,
-            "seed": self.choice.seed,
-            "vehicles": len(trips),
-            "phase_vehicles": len(phase),
-            "arrived": sum(math.isfinite(t.arrive) for t in phase) if self.fleet else accounts["arrived"],
-            "collisions": len(contacts),
-            "phase_collisions": sum(c.phase for c in contacts),
-            "phase_at_fault_collisions": sum(c.phase_at_fault for c in contacts),
-            "off_road": self.fleet.off_road if self.fleet else 0,
-            "phase_vehicle_km": sum(t.policy_metres for t in trips) / 1000.0,
-            "sim_seconds": sim_seconds,
-            "wall_seconds": self.wall,
-            "real_time_factor": sim_seconds / self.wall if self.wall else float("nan"),
-            "policy_cpu_us_per_vehicle_step": self.fleet.cpu_per_decision if self.fleet else 0.0,
-            "share_of_time_under_policy": _ratio(
-                sum(t.policy_seconds for t in phase), sum(t.seconds for t in phase)
-            ),
-            "phase_arrived_under_policy": sum(t.finished for t in phase),
-            "mean_travel_time": sum(travel) / len(travel) if travel else None,
-            "mean_depart_delay": sum(t.delay for t in trips) / len(trips) if trips else None,
-            "waiting_for_insertion": len(self.session.api.simulation.getPendingVehicles()),
-            "accounts": accounts,
-            "accounts_balance": accounts["inserted"]
-            == sum(v for k, v in accounts.items() if k != "inserted"),
-        }
-        result["warnings"] = self._warnings(trips)
-        if self.fleet:
-            result["fleet"] = self.fleet.report()
-        return result
-
-    def _warnings(self, trips: list[Trip]) -> list[str]:
-        seen = {t.type for t in trips}
-        found = [f"no vehicle of type {t!r} was inserted" for t in self.choice.types if t not in seen]
-        if self.fleet and not any(t.adopted for t in trips):
-            found.append("no vehicle was driven by PHASE: check share, types and roads")
-        return found
+def _loop(
+    simulation: Simulation,
+    fleet: PhaseFleet,
+    stop: float | None,
+    recorder: Recorder | None,
+    progress: Progress | None,
+) -> float:
+    """Step until ``stop`` s, or until the demand is used up; returns the wall time in s."""
+    started = shown = clock.perf_counter()
+    begin, expected = simulation.time, simulation.api.simulation.getMinExpectedNumber
+    while True:
+        simulation.step()
+        fleet.observe()
+        time = simulation.time
+        if recorder and recorder.due(time):
+            recorder.sample(time, fleet.scene.table, fleet.scene.types)
+        if expected() == 0 or (stop is not None and time >= stop - 1e-6):
+            break  # a pose that SUMO never steps to would crash libsumo's next simulation
+        fleet.drive()
+        now = clock.perf_counter()
+        if progress and now - shown > 0.2:
+            shown = now
+            progress(_fraction(fleet, begin, stop), _line(fleet))
+    if progress:
+        progress(1.0, _line(fleet))
+    return clock.perf_counter() - started
 
 
-def _ratio(part: float, whole: float) -> float:
-    return part / whole if whole else 0.0
+def _fraction(fleet: PhaseFleet, begin: float, stop: float | None) -> float:
+    if stop is not None:
+        return (fleet.simulation.time - begin) / max(stop - begin, 1e-6)
+    left = fleet.simulation.api.simulation.getMinExpectedNumber()
+    return 1.0 - left / max(left + len(fleet.scene.trips) - len(fleet.scene.facts), 1)
+
+
+def _line(fleet: PhaseFleet) -> str:
+    return (
+        f"{fleet.simulation.time:.0f} s: {len(fleet.scene.facts)} vehicles, {fleet.driven} PHASE, "
+        f"{len(fleet.contacts)} contacts"
+    )
 
 
 def write_trips(path: Path, trips: Any) -> None:

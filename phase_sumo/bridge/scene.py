@@ -7,14 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phase_sumo.bridge.conventions import (
-    ShapeRow,
-    reference_from_front,
-    shape_from_type,
-    vehicle_kind,
-    yaw_from_angle,
-)
-from phase_sumo.bridge.session import Session, bare
+from phase_sumo.bridge.context import Parameters
+from phase_sumo.bridge.conventions import Kind, ShapeRow, reference_from_front, yaw_from_angle
+from phase_sumo.bridge.session import Simulation, bare
 from phase_sumo.bridge.table import VehicleTable
 
 MIRRORED = ("LaneID", "Position", "Angle", "Speed", "Acceleration")
@@ -53,7 +48,7 @@ class VehicleFacts:
 
     type: str
     shape: ShapeRow
-    kind: str | None
+    kind: Kind | None
 
 
 class Scene:
@@ -68,7 +63,7 @@ class Scene:
         departed: ids inserted in the last step.
     """
 
-    def __init__(self, session: Session, observed_edges: frozenset[str] | None) -> None:
+    def __init__(self, session: Simulation, observed_edges: frozenset[str] | None) -> None:
         """``observed_edges`` None observes every road."""
         self.session = session
         self.api = session.api
@@ -79,9 +74,10 @@ class Scene:
         self.lane_of: dict[str, str] = {}
         self.departed: tuple[str, ...] = ()
         self._observed = observed_edges
-        self._type_facts: dict[str, VehicleFacts] = {}
         self._edge_of: dict[str, str] = {}
         self._getters = [bare(self.api, "vehicle", f"get{name}") for name in MIRRORED]
+        for vehicle in self.api.vehicle.getIDList():  # of a simulation that runs already
+            self._enter(vehicle, float(self.api.vehicle.getDeparture(vehicle)))
 
     def update(self) -> None:
         """Read what the last step of SUMO changed; rows of controlled vehicles are left alone."""
@@ -135,18 +131,13 @@ class Scene:
         """SUMO does not list a vehicle that is on no lane, but still knows it."""
         try:
             self.api.vehicle.getRouteIndex(vehicle)
-        except self.api.TraCIException:
+        except self.session.refused:
             return False
         return True
 
     def _enter(self, vehicle: str, time: float) -> None:
         kind = self.api.vehicle.getTypeID(vehicle)
-        facts = self._type_facts.get(kind)
-        if facts is None:
-            types = self.api.vehicletype
-            vclass, length = types.getVehicleClass(kind), types.getLength(kind)
-            shape = shape_from_type(vclass, length, types.getWidth(kind))
-            facts = self._type_facts[kind] = VehicleFacts(kind, shape, vehicle_kind(vclass, length))
+        facts = VehicleFacts(kind, *Parameters(self.api, vehicle, kind).shape())
         self.facts[vehicle] = facts
         self.types[vehicle] = kind
         self.trips[vehicle] = Trip(vehicle, kind, time, float(self.api.vehicle.getDepartDelay(vehicle)))

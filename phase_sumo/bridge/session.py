@@ -1,68 +1,37 @@
-"""One SUMO simulation in this process: start, step, close."""
+"""One SUMO simulation: start, step, close."""
 
 from __future__ import annotations
 
 import sys
+import time as clock
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from pathlib import Path
-from types import ModuleType, TracebackType
+from types import TracebackType
 from typing import Any
+
+import traci
 
 from phase_sumo.errors import PhaseError
 
 _running = False
 
 
-class Session:
-    """A running simulation; use it as a context manager so that SUMO closes its outputs in every case.
-
-    libsumo holds one simulation per process and would silently replace it, so a second one is refused:
-    run several scenarios in processes of their own.
+class Simulation:
+    """A running simulation, whoever started it.
 
     Attributes:
-        api: the ``libsumo`` module (``traci`` with a window where libsumo has none).
+        api: the ``libsumo`` or ``traci`` module, or one of traci's connections.
         step_length: s.
+        refused, failed: what the api raises when SUMO refuses a call, and when it cannot go on.
     """
 
-    def __init__(self, args: list[str], work_dir: Path, gui: bool = False) -> None:
-        self._args = args
-        self._gui = gui
-        self._log = work_dir / "sumo_errors.txt"
-        self.api: ModuleType
-        self.step_length = 1.0
-
-    def __enter__(self) -> Session:
-        global _running
-        if _running:
-            raise PhaseError(
-                "a SUMO simulation is already running in this process; run this one in another process"
-            )
-        self.api = _client(self._gui)
-        args = list(self._args)
-        if "--error-log" not in args:
-            args += ["--error-log", str(self._log.resolve())]
-        if self._gui:
-            args += ["--start", "true", "--quit-on-end", "true"]
-        try:
-            self.api.start([_binary(self._gui), *args])
-        except Exception as error:
-            raise PhaseError(f"SUMO did not start: {self._reason() or error}") from None
-        _running = True
-        self.step_length = float(self.api.simulation.getDeltaT())
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        global _running
-        _running = False
-        try:
-            self.api.close()
-        except Exception:
-            if error is None:
-                raise
-        if self._log.is_file() and self._log.stat().st_size == 0:
-            self._log.unlink()
+    def __init__(self, api: Any, error_log: Path | None = None) -> None:
+        self.api = api
+        self.step_length = float(api.simulation.getDeltaT())
+        self.refused: type[Exception] = getattr(api, "TraCIException", traci.TraCIException)
+        self.failed: type[Exception] = getattr(api, "FatalTraCIError", traci.FatalTraCIError)
+        self._error_log = error_log
 
     @property
     def time(self) -> float:
@@ -71,38 +40,90 @@ class Session:
 
     def step(self) -> None:
         """Advance by one step of SUMO."""
+        time = self.time
         try:
             self.api.simulationStep()
-        except self.api.TraCIException as error:
-            raise PhaseError(f"SUMO stopped at {self.time:g} s: {self._reason() or error}") from None
-
-    def _reason(self) -> str:
-        if not self._log.is_file():
-            return ""
-        lines = [line.strip() for line in self._log.read_text(errors="replace").splitlines() if line.strip()]
-        errors = [line for line in lines if line.startswith("Error")]
-        return " ".join(errors or lines[-2:])
+        except (self.refused, self.failed) as error:
+            raise PhaseError(f"SUMO stopped at {time:g} s: {_reason(self._error_log, error)}") from None
 
 
-def bare(api: ModuleType, domain: str, name: str) -> Callable[..., Any]:
+def bare(api: Any, domain: str, name: str) -> Callable[..., Any]:
     """A function of the api for loops over vehicles: libsumo's own, without the Python around it."""
     native = getattr(api, "_libsumo", None)
     return getattr(native, f"{domain}_{name}", None) or getattr(getattr(api, domain), name)
 
 
-def _client(gui: bool) -> ModuleType:
-    if gui and not sys.platform.startswith("linux"):
-        import traci  # libsumo has no window there
+class Session:
+    """Starts a simulation; use it as a context manager so that SUMO closes its outputs in every case.
 
-        return traci
-    import libsumo
+    libsumo holds one simulation per process and would silently replace it, so a second one is refused:
+    run several scenarios in processes of their own.
+    """
 
-    return libsumo
+    def __init__(self, args: list[str], work_dir: Path, gui: bool = False, over_traci: bool = False) -> None:
+        """``over_traci`` runs SUMO in a process of its own instead of through libsumo."""
+        self._args = args
+        self._gui = gui
+        self._over_traci = over_traci or (gui and not sys.platform.startswith("linux"))  # no window there
+        self._log = work_dir / "sumo_errors.txt"
+        self._api: Any
+
+    def __enter__(self) -> Simulation:
+        global _running
+        if _running:
+            raise PhaseError(
+                "a SUMO simulation is already running in this process; run this one in another process"
+            )
+        args = list(self._args)
+        if "--error-log" not in args:
+            args += ["--error-log", str(self._log.resolve())]
+        if self._gui:
+            args += ["--start", "true", "--quit-on-end", "true"]
+        binary = "sumo-gui" if self._gui else "sumo"
+        try:
+            if self._over_traci:
+                self._api = traci
+                _start_sumo(binary, args)
+            else:
+                import libsumo
+
+                self._api = libsumo
+                libsumo.start([binary, *args])
+        except Exception as error:
+            raise PhaseError(f"SUMO did not start: {_reason(self._log, error)}") from None
+        _running = True
+        return Simulation(self._api, self._log)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        global _running
+        _running = False
+        try:
+            self._api.close()
+        except Exception:
+            if error is None:
+                raise
+        if self._log.is_file() and self._log.stat().st_size == 0:
+            self._log.unlink()
 
 
-def _binary(gui: bool) -> str:
-    if gui and not sys.platform.startswith("linux"):
-        import sumolib
+def _start_sumo(binary: str, args: list[str]) -> None:
+    import sumolib
 
-        return sumolib.checkBinary("sumo-gui")
-    return "sumo-gui" if gui else "sumo"
+    # the program itself: its Python wrapper would leave it running when killed
+    program = sumolib.checkBinary(binary)
+    with redirect_stdout(sys.stderr):  # traci tells about its tries
+        traci.start([program, *args])
+
+
+def _reason(log: Path | None, error: Exception) -> str:
+    """SUMO's own words in one line, from its error log where that has some."""
+    for _ in range(20 if isinstance(error, traci.FatalTraCIError) else 0):  # SUMO's process is still ending
+        if log and log.is_file() and log.stat().st_size:
+            break
+        clock.sleep(0.05)
+    text = log.read_text(errors="replace") if log and log.is_file() else ""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    errors = [line for line in lines if line.startswith("Error")]
+    return " ".join(errors or lines[-2:] or str(error).split())

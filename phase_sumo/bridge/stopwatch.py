@@ -15,12 +15,12 @@ from phase_sumo.bridge.goals import GoalPlanner
 from phase_sumo.bridge.recorder import Recorder
 from phase_sumo.bridge.road import Road
 from phase_sumo.bridge.scene import Scene
-from phase_sumo.bridge.session import Session
+from phase_sumo.bridge.session import Simulation
 from phase_sumo.policy.checkpoint import Policy
 
 # What each part does; time within another part's function counts for that one
 PARTS: dict[str, tuple[Any, str]] = {
-    "sumo": (Session, "step"),
+    "sumo": (Simulation, "step"),
     "read": (Scene, "update"),
     "check": (Fleet, "follow_sumo"),
     "track": (Road, "track"),

@@ -23,6 +23,7 @@ class VehicleTable:
         ids: vehicle id of each row, "" for an empty one.
         row_of: id -> row.
         active, controlled: [N] bool; controlled rows are moved by the policy, the others by SUMO.
+        driver: [N] number of the policy that moves a controlled row, see `Drivers`.
         arrays: name -> [N] (histories [N, 3]) values of `VehicleShape`, `VehicleState` and `Task`.
     """
 
@@ -31,6 +32,7 @@ class VehicleTable:
         self.row_of: dict[str, int] = {}
         self.active = np.zeros(0, bool)
         self.controlled = np.zeros(0, bool)
+        self.driver = np.zeros(0, np.int64)
         self.arrays: dict[str, np.ndarray] = {}
         for name in (*SHAPE, *STATE, *TASK):
             kind = bool if name == "truck" else np.float32
@@ -56,6 +58,7 @@ class VehicleTable:
             self.arrays[name] = grown
         extra = np.zeros(capacity - old, bool)
         self.active, self.controlled = np.r_[self.active, extra], np.r_[self.controlled, extra]
+        self.driver = np.r_[self.driver, np.zeros(capacity - old, np.int64)]
         self.ids += [""] * (capacity - old)
         self._free += range(capacity - 1, old - 1, -1)
 

@@ -6,8 +6,10 @@ import sys
 from pathlib import Path
 
 from phase_sumo.cli.files import write_json
-from phase_sumo.cli.parser import make_parser
+from phase_sumo.cli.parser import FLAGS, make_parser
 from phase_sumo.errors import PhaseError
+
+DEVICE = "--device.phase."
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -31,8 +33,22 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _split(argv: list[str]) -> tuple[list[str], list[str]]:
-    """Our arguments, and SUMO's own behind ``--``."""
-    if "--" not in argv:
-        return argv, []
-    at = argv.index("--")
-    return argv[:at], argv[at + 1 :]
+    """Our arguments, and SUMO's own behind ``--``; ``--device.phase.*`` is ours on either side of it."""
+    at = argv.index("--") if "--" in argv else len(argv)
+    ours, sumos = _flags_with_values(argv[:at]), _flags_with_values(argv[at + 1 :])
+    while found := [i for i, word in enumerate(sumos) if word.startswith(DEVICE)]:
+        i = found[0]
+        count = 1 if "=" in sumos[i] else 2
+        ours += sumos[i : i + count]
+        del sumos[i : i + count]
+    return ours, sumos
+
+
+def _flags_with_values(words: list[str]) -> list[str]:
+    """SUMO's flags may stand without a value: ``--device.phase.deterministic`` gets its own."""
+    result = list(words)
+    for i in range(len(words) - 1, -1, -1):
+        if words[i] == f"{DEVICE}deterministic":
+            given = i + 1 < len(words) and words[i + 1].lower() in FLAGS
+            result[i : i + 1 + given] = [f"{words[i]}={words[i + 1] if given else 'true'}"]
+    return result

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable
 from typing import Any
 
 import phase_sumo
 from phase_sumo.cli import commands
 from phase_sumo.cli.files import TUNE_TABLE
+
+FLAGS = {
+    "true": True,
+    "1": True,
+    "yes": True,
+    "on": True,
+    "false": False,
+    "0": False,
+    "no": False,
+    "off": False,
+}
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -105,13 +117,35 @@ def make_parser() -> argparse.ArgumentParser:
         sub = add(name, command, text)
         sub.add_argument("cfg", metavar="CFG.sumocfg")
         sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
-        sub.add_argument("--share", type=float, default=1.0, help="of the vehicles that PHASE drives, 0..1")
+        sub.add_argument(
+            "--share",
+            "--device.phase.probability",
+            type=float,
+            metavar="P",
+            help="of the vehicles that PHASE drives, 0..1; if left out 1, or 0 with explicit ids",
+        )
+        sub.add_argument(
+            "--device.phase.explicit",
+            dest="explicit",
+            type=_ids,
+            default=[],
+            metavar="ID,ID",
+            help="vehicles that PHASE drives in any case",
+        )
+        sub.add_argument(
+            "--device.phase.deterministic",
+            dest="deterministic",
+            type=_flag,
+            default=False,
+            metavar="BOOL",
+            help="meet the share by counting vehicles instead of drawing",
+        )
         sub.add_argument(
             "--types",
             nargs="+",
             default=[],
             metavar="VTYPE",
-            help="vTypes that PHASE drives; all if left out",
+            help="vTypes that the share is taken of; all if left out",
         )
         sub.add_argument(
             "--alpha",
@@ -124,6 +158,9 @@ def make_parser() -> argparse.ArgumentParser:
         if name == "run":
             sub.add_argument("--out", metavar="DIR", help="folder for SUMO's and our outputs")
             sub.add_argument("--gui", action="store_true", help="show SUMO's window")
+            sub.add_argument(
+                "--traci", action="store_true", help="SUMO in a process of its own instead of libsumo"
+            )
         else:
             sub.add_argument(
                 "--models", nargs="+", default=["phase", "idm"], help="phase, idm, krauss, eidm ..."
@@ -159,3 +196,13 @@ def make_parser() -> argparse.ArgumentParser:
     sub.add_argument("--out", default="out/demo", metavar="DIR", help="folder for the report")
     sub.set_defaults(seed=1)
     return parser
+
+
+def _ids(text: str) -> list[str]:
+    return [name for name in re.split(r"[,;\s]+", text) if name]
+
+
+def _flag(text: str) -> bool:
+    if text.lower() not in FLAGS:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither true nor false")
+    return FLAGS[text.lower()]

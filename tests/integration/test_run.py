@@ -115,7 +115,7 @@ def test_share_and_types(scenario):
     assert balanced(some)
     trucks = run_scenario(scenario(), policy=Standin(), seed=1, types=["semi"], end=30)
     assert 0 < trucks["phase_vehicles"] < 6
-    none = run_scenario(scenario(), share=0.0, seed=1, end=30)
+    none = run_scenario(scenario(), phase=False, seed=1, end=30)
     assert none["phase_vehicles"] == 0
     assert none["arrived"] > 0
 
@@ -123,7 +123,7 @@ def test_share_and_types(scenario):
 def test_an_odd_step_length_is_refused_with_a_remedy(scenario):
     with pytest.raises(PhaseError, match=r"step-length 0\.25.*pass -- --step-length 0\.2"):
         run_scenario(scenario(0.25), policy=Standin())
-    run_scenario(scenario(), share=0.0, end=5)  # the session was closed
+    run_scenario(scenario(), phase=False, end=5)  # the session was closed
 
 
 def test_bad_network_is_one_clear_error(scenario, tmp_path):
@@ -131,7 +131,7 @@ def test_bad_network_is_one_clear_error(scenario, tmp_path):
     bad = tmp_path / "demand.rou.xml"
     bad.write_text("<routes><flow id='f' from='nowhere' to='main2' begin='0' end='9' period='1'/></routes>")
     with pytest.raises(PhaseError, match="nowhere"):
-        run_scenario(path, share=0.0)
+        run_scenario(path, phase=False)
 
 
 def test_one_simulation_per_process(scenario, tmp_path):
@@ -157,7 +157,7 @@ def test_session_closes_after_an_exception(tmp_path):
 
 def test_processes_report_refusals(scenario, tmp_path):
     with pytest.raises(PhaseError, match="nothere"):
-        run_all([{"cfg": str(tmp_path / "nothere.sumocfg"), "share": 0.0}])
+        run_all([{"cfg": str(tmp_path / "nothere.sumocfg"), "phase": False}])
 
 
 def test_comparison_writes_one_self_contained_page(scenario, tmp_path):

@@ -7,6 +7,7 @@ import pytest
 
 from phase_sumo.bridge.controller import SAME_WAY, Controller
 from phase_sumo.bridge.conventions import shape_from_type
+from phase_sumo.bridge.drivers import Drivers
 from phase_sumo.bridge.goals import GoalPlanner
 from phase_sumo.bridge.road import Road
 from phase_sumo.bridge.table import VehicleTable
@@ -29,8 +30,8 @@ def neighbours(road, x, y, yaw, controlled):
         table["x"][row], table["y"][row], table["yaw"][row] = x[i], y[i], yaw[i]
         table.controlled[row] = controlled[i]
     rows = np.flatnonzero(table.controlled)
-    controller = Controller(road, table, Standin(), GoalPlanner(road, table))
-    index, mask = (t.numpy() for t in controller._neighbours(rows))
+    controller = Controller(road, table, Drivers(Standin()), GoalPlanner(road, table))
+    index, mask = (t.numpy() for t in controller._neighbours(rows, Standin().sim))
     assert (np.diff(mask.astype(int), axis=1) <= 0).all()  # real ones come first
     return table, rows, [i[m].tolist() for i, m in zip(index, mask, strict=True)]
 

@@ -1,4 +1,4 @@
-"""Table, contacts and choice: the parts of the fleet that need no simulation."""
+"""Table and contacts: the parts of the fleet that need no simulation."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from phase_sumo.bridge.choice import Choice
 from phase_sumo.bridge.contacts import ContactMonitor, write_contacts
 from phase_sumo.bridge.conventions import shape_from_type
 from phase_sumo.bridge.pose import nearest_on_line
 from phase_sumo.bridge.table import VehicleTable
 from phase_sumo.config import SimConfig
-from phase_sumo.errors import PhaseError
 from phase_sumo.sim import kinematics
 
 CAR, SEMI = shape_from_type("passenger", 5.0, 1.8), shape_from_type("trailer", 22.0, 2.6)
@@ -107,30 +105,6 @@ def test_events_file_quotes_odd_ids(tmp_path):
     lines = (tmp_path / "events.csv").read_text().splitlines()
     assert lines[0].startswith("time,seconds,a,b")
     assert '"a,1"' in lines[1]
-
-
-def test_choice_is_nested_seeded_and_fair():
-    names = [f"veh{i}" for i in range(4000)]
-    few = {n for n in names if Choice(share=0.2, seed=1).chosen(n, "car")}
-    many = {n for n in names if Choice(share=0.6, seed=1).chosen(n, "car")}
-    assert few < many
-    assert len(few) / len(names) == pytest.approx(0.2, abs=0.03)
-    assert few != {n for n in names if Choice(share=0.2, seed=2).chosen(n, "car")}
-    assert all(Choice(share=1.0).chosen(n, "car") for n in names)
-    assert not any(Choice(share=0.0).chosen(n, "car") for n in names)
-
-
-def test_choice_of_types_and_alpha():
-    choice = Choice(types=("semi",), alpha=0.5)
-    assert choice.chosen("a", "semi")
-    assert not choice.chosen("a", "car")
-    assert choice.alpha_of("a") == 0.5
-    drawn = [Choice(alpha=(0.4, 0.6)).alpha_of(f"v{i}") for i in range(100)]
-    assert min(drawn) >= 0.4
-    assert max(drawn) <= 0.6
-    assert len(set(drawn)) > 90
-    with pytest.raises(PhaseError, match=r"alpha 0\.05"):
-        Choice(alpha=0.05)
 
 
 def test_nearest_point_of_a_line():

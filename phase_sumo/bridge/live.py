@@ -1,0 +1,252 @@
+"""PHASE in a simulation that somebody else steps: what `run_scenario` and a user's own loop share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Literal
+
+from traci.step import StepListener
+
+from phase_sumo.bridge.choice import Choice
+from phase_sumo.bridge.contacts import Contact, ContactMonitor
+from phase_sumo.bridge.context import Parameters
+from phase_sumo.bridge.drivers import Driver, Drivers
+from phase_sumo.bridge.fleet import Fleet
+from phase_sumo.bridge.network import read_network
+from phase_sumo.bridge.options import check_options
+from phase_sumo.bridge.scene import Scene
+from phase_sumo.bridge.session import Simulation
+from phase_sumo.errors import PhaseError
+from phase_sumo.policy.checkpoint import load_policy
+
+
+class PhaseFleet(StepListener):
+    """PHASE vehicles in a running simulation of libsumo or traci::
+
+        libsumo.start(["sumo", "-c", "my.sumocfg", *phase_sumo.SUMO_OPTIONS])
+        fleet = phase_sumo.PhaseFleet(libsumo, share=0.3)
+        libsumo.addStepListener(fleet)  # or call fleet.step() after every simulationStep()
+
+    A vehicle's ``phase.*`` parameters are read when it departs (type and dimensions) and when PHASE takes it
+    over; later changes count after `set_context`, so that no step has to ask for them.
+
+    SUMO is told every pose one step ahead: who stops before SUMO's ``end`` calls `close` before SUMO closes.
+
+    Attributes:
+        simulation: the one that it drives in.
+        choice: which vehicles.
+        scene: all vehicles and their trips.
+    """
+
+    def __init__(
+        self,
+        api: Any,
+        policy: Driver | str | Path | None = None,
+        *,
+        share: float | None = None,
+        types: Sequence[str] = (),
+        alpha: float | tuple[float, float] | None = None,
+        explicit: Sequence[str] = (),
+        deterministic: bool = False,
+        seed: int = 0,
+        roads: Literal["freeway", "all"] = "freeway",
+        drives: bool = True,
+    ) -> None:
+        """Take part in a simulation that was started.
+
+        Args:
+            api: ``libsumo``, ``traci`` or one of traci's connections.
+            policy: a loaded policy or its file; None loads the shipped one.
+            share, types, alpha, explicit, deterministic, seed: see `Choice`.
+            roads: ``"freeway"`` observes and drives motorways and ramps only, ``"all"`` every road.
+            drives: False only watches: trips and contacts of a run without PHASE.
+
+        Raises:
+            PhaseError: SUMO was started without an option that PHASE needs, or an argument cannot be used.
+        """
+        check_options(api)
+        option = api.simulation.getOption
+        self.choice = Choice(share, tuple(types), alpha, seed, tuple(explicit), deterministic)
+        self.simulation = Simulation(api)
+        network = read_network(option("net-file"), roads)
+        edges = frozenset(lane.edge for lane in network.lanes if not lane.connector)
+        self.scene = Scene(self.simulation, edges)
+        self._contacts = ContactMonitor()
+        self._fleet: Fleet | None = None
+        if drives:
+            common = load_policy(policy) if policy is None or isinstance(policy, str | Path) else policy
+            drivers = Drivers(common, Path(option("configuration-file")).parent)
+            hitch = "phase.hitch" in option("fcd-output.params")
+            self._fleet = Fleet(self.scene, network, drivers, self.choice, hitch)
+            self._fleet.check_step(self.simulation.step_length)
+        self._start = self._last = self.simulation.time
+        self._pending = self._closed = False
+
+    @property
+    def contacts(self) -> list[Contact]:
+        """Every contact between two vehicles on the observed road so far."""
+        return self._contacts.contacts
+
+    @property
+    def driven(self) -> int:
+        """Vehicles under the policy at the moment."""
+        return int(self.scene.table.controlled.sum())
+
+    def step(self, t: float = 0.0) -> bool:  # type: ignore[override]  # False ends it in traci
+        """Follow SUMO's step and prepare the next one; libsumo and traci call it for a step listener.
+
+        Returns:
+            Whether to be called again: no longer when closed, or when another simulation was started.
+        """
+        if self._closed or self.simulation.time < self._last:
+            return False
+        self.observe()
+        if not self._over:
+            self.drive()
+        return True
+
+    def observe(self) -> None:
+        """After SUMO's step: who came and went, who is taken over or given back, who touches whom."""
+        time, seconds = self.simulation.time, self.simulation.step_length
+        if abs(time - self._last - seconds) > 1e-6:
+            raise PhaseError(
+                f"PHASE was called at {self._last:g} s and {time:g} s, SUMO's step is {seconds:g} s: call "
+                "simulationStep() without a time, and register the fleet or call its step(), not both"
+            )
+        self._last, self._pending = time, False
+        self.scene.update()
+        if self._fleet:
+            self._fleet.follow_sumo(time)
+        self._contacts.update(self.scene.table, time, self.scene.types)
+
+    def drive(self) -> None:
+        """Move the vehicles and tell SUMO where they will be after its next step."""
+        if self._fleet and not self._closed:
+            self._pending = True
+            self._fleet.drive(self.simulation.time)
+
+    def take(self, vehicle: str) -> None:
+        """PHASE drives the vehicle from the next step on, or as soon as it is on an observed road."""
+        self._mark(vehicle, "true").take(vehicle)
+
+    def release(self, vehicle: str) -> None:
+        """SUMO drives the vehicle from the next step on, for the rest of its trip or until `take`."""
+        self._mark(vehicle, "false").release(vehicle)
+
+    def set_context(
+        self,
+        vehicle: str,
+        *,
+        alpha: float | None = None,
+        target_speed: float | None = None,
+        policy: str | Path | None = None,
+    ) -> None:
+        """Set the vehicle's ``phase.*`` parameters and drive by them from the next step on.
+
+        Without values the parameters are read again as they are, after the caller set them in SUMO.
+
+        Args:
+            alpha: longitudinal action range, 0.1..1.
+            target_speed: m/s, 3..40.
+            policy: file.
+        """
+        fleet, api = self._checked(vehicle), self.simulation.api.vehicle
+        file = None if policy is None else Path(policy).resolve()
+        given = {"alpha": alpha, "target_speed": target_speed, "policy": file}
+        texts = {f"phase.{name}": str(value) for name, value in given.items() if value is not None}
+        before = {key: api.getParameter(vehicle, key) for key in texts}
+        for key, text in texts.items():
+            api.setParameter(vehicle, key, text)
+        try:
+            Parameters(self.simulation.api, vehicle, self.scene.types[vehicle]).context()
+            fleet.read_context(vehicle)
+        except PhaseError:
+            for key, text in before.items():
+                api.setParameter(vehicle, key, text)
+            raise
+
+    def close(self) -> None:
+        """Drive no more, and let SUMO take the step it was told about.
+
+        libsumo keeps poses that it never stepped to, and its next simulation in this process would crash.
+        """
+        self._closed = True
+        if self._pending:
+            self._pending = False
+            with suppress(PhaseError, self.simulation.failed):  # SUMO may have ended already
+                self.simulation.step()
+
+    def report(self) -> dict[str, Any]:
+        """What came of the vehicles so far, by the names of the command line's JSON."""
+        trips, fleet = list(self.scene.trips.values()), self._fleet
+        phase = [t for t in trips if t.adopted]
+        accounts = self.scene.accounts()
+        travel = [t.arrive - t.depart for t in trips if math.isfinite(t.arrive)]
+        report: dict[str, Any] = {
+            "share": self.choice.probability,
+            "seed": self.choice.seed,
+            "vehicles": len(trips),
+            "phase_vehicles": len(phase),
+            "arrived": sum(math.isfinite(t.arrive) for t in phase) if phase else accounts["arrived"],
+            "collisions": len(self.contacts),
+            "phase_collisions": sum(c.phase for c in self.contacts),
+            "phase_at_fault_collisions": sum(c.phase_at_fault for c in self.contacts),
+            "off_road": fleet.off_road if fleet else 0,
+            "phase_vehicle_km": sum(t.policy_metres for t in trips) / 1000.0,
+            "sim_seconds": self.simulation.time - self._start,
+            "policy_cpu_us_per_vehicle_step": fleet.cpu_per_decision if fleet else 0.0,
+            "share_of_time_under_policy": _ratio(
+                sum(t.policy_seconds for t in phase), sum(t.seconds for t in phase)
+            ),
+            "phase_arrived_under_policy": sum(t.finished for t in phase),
+            "mean_travel_time": sum(travel) / len(travel) if travel else None,
+            "mean_depart_delay": sum(t.delay for t in trips) / len(trips) if trips else None,
+            "waiting_for_insertion": len(self.simulation.api.simulation.getPendingVehicles()),
+            "accounts": accounts,
+            "accounts_balance": accounts["inserted"]
+            == sum(v for k, v in accounts.items() if k != "inserted"),
+            "warnings": self._warnings(),
+        }
+        if fleet:
+            report["fleet"] = fleet.report()
+        return report
+
+    @property
+    def _over(self) -> bool:
+        """SUMO makes no further step: its demand is used up, or its end has come."""
+        simulation = self.simulation.api.simulation
+        end = float(simulation.getEndTime())
+        return simulation.getMinExpectedNumber() == 0 or 0 <= end <= self._last
+
+    def _mark(self, vehicle: str, text: str) -> Fleet:
+        fleet = self._checked(vehicle)
+        self.simulation.api.vehicle.setParameter(vehicle, "phase.device", text)
+        return fleet
+
+    def _checked(self, vehicle: str) -> Fleet:
+        facts = self.scene.facts.get(vehicle)
+        if facts is None or self._fleet is None:
+            raise PhaseError(f"vehicle {vehicle!r} is not in the simulation, or PHASE no longer drives in it")
+        if facts.kind is None:
+            raise PhaseError(
+                f"vehicle {vehicle!r}: PHASE drives cars and trucks only, vType {facts.type!r} is neither; "
+                "set phase.type on it if it drives like one"
+            )
+        return self._fleet
+
+    def _warnings(self) -> list[str]:
+        trips = self.scene.trips
+        seen = {t.type for t in trips.values()}
+        found = [f"no vehicle of type {t!r} was inserted" for t in self.choice.types if t not in seen]
+        found += [f"no vehicle {v!r} was inserted" for v in self.choice.explicit if v not in trips]
+        wanted = self.choice.probability > 0 or self.choice.explicit
+        if self._fleet and wanted and not any(t.adopted for t in trips.values()):
+            found.append("no vehicle was driven by PHASE: check share, types and roads")
+        return found
+
+
+def _ratio(part: float, whole: float) -> float:
+    return part / whole if whole else 0.0
