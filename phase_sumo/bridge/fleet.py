@@ -160,7 +160,7 @@ class Fleet:
 
     def _take(self, vehicle: str, row: int, member: Member) -> None:
         api, table = self._api.vehicle, self._table
-        member.speed_factor = member.set_factor = float(api.getSpeedFactor(vehicle))
+        member.speed_factor = float(api.getSpeedFactor(vehicle))
         member.max_speed = float(api.getMaxSpeed(vehicle))
         member.target_speed = self._parameter(vehicle, "phase.target_speed")
         api.setSpeedMode(vehicle, SPEED_MODE)
@@ -280,8 +280,6 @@ class Fleet:
         api.setSpeedMode(vehicle, SUMO_SPEED_MODE)
         api.setLaneChangeMode(vehicle, SUMO_LANE_MODE)
         api.setSpeed(vehicle, -1.0)
-        if member.set_factor != member.speed_factor:
-            api.setSpeedFactor(vehicle, member.speed_factor)
         self._drop(vehicle)
         self._table.controlled[self._table.row_of[vehicle]] = False
 

@@ -15,7 +15,10 @@ MATCH = 10.0  # m within which SUMO looks for the lane
 
 
 class PoseWriter:
-    """Writes poses with moveToXY, with what SUMO needs around it to report them unchanged."""
+    """Writes poses with moveToXY and speeds with setSpeed, so that SUMO reports both unchanged.
+
+    SUMO's acceleration is then the change of speed over its step.
+    """
 
     def __init__(self, api: ModuleType, road: Road, table: VehicleTable) -> None:
         self._api, self._road, self._table = api, road, table
@@ -32,20 +35,11 @@ class PoseWriter:
             angle: SUMO's, in degrees.
         """
         row = self._table.row_of[vehicle]
-        self._match_speed(vehicle, member, row, node)
         if time < member.off_lane_until:
             front = self._towards_lane(front, row, node)
         self._api.vehicle.moveToXY(vehicle, "", -1, *front, angle, MOVE, MATCH)
-
-    def _match_speed(self, vehicle: str, member: Member, row: int, node: int) -> None:
-        """SUMO clamps the speed it reports to lane limit x factor: keep that above ours."""
-        if node < 0:
-            return
-        limit = self._road.network.lanes[int(self._road.graph.node_lane[node])].speed_limit
-        factor = max(member.speed_factor, 1.0005 * float(self._table["speed"][row]) / max(limit, 0.1))
-        if abs(factor - member.set_factor) > 1e-4:
-            self._api.vehicle.setSpeedFactor(vehicle, factor)
-            member.set_factor = factor
+        # else SUMO reports the bumper's mean speed along the lane, clamped to the limit
+        self._api.vehicle.setSpeed(vehicle, float(self._table["speed"][row]))
 
     def _towards_lane(self, at: tuple[float, float], row: int, node: int) -> tuple[float, float]:
         """The position nearest to ``at`` that SUMO still counts as on the lane.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,61 +15,8 @@ from phase_sumo.bridge.table import STATE
 from phase_sumo.sim.observation import Observation
 from tests.parity.recording import Recording, SumoStep, record
 from tests.parity.replay import Replay
+from tests.parity.scenes import NETWORKS, RECKLESS_SCENE, SCENE, write_scenario
 from tests.standin import Standin
-
-NETWORKS = Path(__file__).parents[2] / "networks"
-ROADS = {
-    "f12_scurve2": "main0",
-    "f04_onramp3": "main0 main1 main2",
-    "f20_lefthand2": "main0 main1 main2 main3",
-}
-TYPES = """
-    <vType id="car" vClass="passenger" length="4.8" width="1.9"/>
-    <vType id="fast" vClass="passenger" length="4.4" width="1.8"><param key="phase.target_speed" value="38"/>
-        </vType>
-    <vType id="astray" vClass="passenger" length="4.8" width="1.9"><param key="phase.alpha" value="0.3"/>
-        </vType>
-    <vType id="rigid" vClass="truck" length="10.0" width="2.5" maxSpeed="25"/>
-    <vType id="semi" vClass="trailer" length="18.0" width="2.55" maxSpeed="25"/>
-    <vType id="native" vClass="passenger" length="5.2" width="1.8">
-        <param key="has.phase.device" value="false"/></vType>
-"""
-# id, type, lane, front bumper in m, speed in m/s: near enough that all see each other and some overtake
-SCENE = (
-    ("semi0", "semi", 0, 60.0, 20.0),
-    ("rigid0", "rigid", 1, 40.0, 21.0),
-    ("car0", "car", 0, 100.0, 17.0),
-    ("car1", "car", 1, 90.0, 25.0),
-    ("car2", "car", 0, 22.0, 24.0),
-    ("car3", "fast", 1, 12.0, 28.0),
-    ("native0", "native", 0, 130.0, 18.0),
-    ("native1", "native", 1, 128.0, 24.0),
-)
-# rear-end collisions with a car, a rigid truck and a trailer, and a car that leaves the road
-RECKLESS_SCENE = (
-    ("rear0", "fast", 0, 15.0, 30.0),
-    ("semi0", "semi", 0, 70.0, 18.0),
-    ("rear1", "fast", 1, 20.0, 30.0),
-    ("rigid0", "rigid", 1, 60.0, 18.0),
-    ("rear2", "fast", 0, 90.0, 30.0),
-    ("car0", "car", 0, 110.0, 20.0),
-    ("astray0", "astray", 1, 120.0, 24.0),
-)
-
-
-def scenario(folder: Path, net: Path, edges: str, scene: tuple[tuple, ...], step: float = 0.1) -> Path:
-    vehicles = "".join(
-        f'<vehicle id="{name}" type="{kind}" depart="0" departLane="{lane}" departPos="{at}" '
-        f'departSpeed="{speed}" insertionChecks="none"><route edges="{edges}"/></vehicle>'
-        for name, kind, lane, at, speed in scene
-    )
-    (folder / "demand.rou.xml").write_text(f"<routes>{TYPES}{vehicles}</routes>")
-    cfg = folder / "test.sumocfg"
-    cfg.write_text(
-        f'<configuration><net-file value="{net}"/><route-files value="demand.rou.xml"/>'
-        f'<step-length value="{step}"/></configuration>'
-    )
-    return cfg
 
 
 @pytest.mark.parametrize(
@@ -79,9 +25,8 @@ def scenario(folder: Path, net: Path, edges: str, scene: tuple[tuple, ...], step
 )
 def test_observations_and_next_states(tmp_path, road, step):
     """Sub-steps of a long SUMO step included; vehicles that SUMO drives are copied from there."""
-    net = NETWORKS / f"{road}.net.xml"
-    network, driver = read_network(net), Standin()
-    kept = record(scenario(tmp_path, net, ROADS[road], SCENE, step), network, driver, until=8.0)
+    network, driver = read_network(NETWORKS / f"{road}.net.xml"), Standin()
+    kept = record(write_scenario(tmp_path, road, SCENE, step), network, driver, until=8.0)
     start = check_start(kept)
     replay = Replay(network, kept, start, driver.sim)
     sumo_after = {s.decisions: s for s in kept.steps}
@@ -133,9 +78,8 @@ def same_states(replay: Replay, sumo: SumoStep, kept: Recording, vehicles: list[
 
 def test_a_difference_would_be_seen(tmp_path):
     """A tenth of a millimetre, a goal or a neighbour's place: none of them passes the comparison."""
-    net = NETWORKS / "f12_scurve2.net.xml"
-    network, driver = read_network(net), Standin()
-    kept = record(scenario(tmp_path, net, "main0", SCENE), network, driver, until=1.0)
+    network, driver = read_network(NETWORKS / "f12_scurve2.net.xml"), Standin()
+    kept = record(write_scenario(tmp_path, "f12_scurve2", SCENE), network, driver, until=1.0)
     start, decision = check_start(kept), kept.decisions[0]
     replay = Replay(network, kept, start, driver.sim)
     replay.state.y[0, replay.slot["car1"]] += 2e-3
@@ -151,9 +95,8 @@ def test_a_difference_would_be_seen(tmp_path):
 
 def test_collisions_and_road_edges(tmp_path):
     """Who touches whom, when, and at whose fault; and who touches the road edge."""
-    net = NETWORKS / "f12_scurve2.net.xml"
-    network, driver = read_network(net), Standin(reckless=True)
-    cfg = scenario(tmp_path, net, "main0", RECKLESS_SCENE)
+    network, driver = read_network(NETWORKS / "f12_scurve2.net.xml"), Standin(reckless=True)
+    cfg = write_scenario(tmp_path, "f12_scurve2", RECKLESS_SCENE)
     kept = record(cfg, network, driver, until=7.0, choice=Choice(alpha=0.8))
     replay = Replay(network, kept, check_start(kept), driver.sim)
     sumo_after = {s.decisions: s for s in kept.steps}
