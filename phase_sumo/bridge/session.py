@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+import tempfile
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType, TracebackType
 
@@ -44,7 +46,7 @@ class Session:
         try:
             self.api.start([_binary(self._gui), *args])
         except Exception as error:
-            raise PhaseError(f"SUMO did not start: {self._reason() or error}") from None
+            raise self._failed("SUMO did not start", error) from None
         _running = True
         self.step_length = float(self.api.simulation.getDeltaT())
         return self
@@ -59,8 +61,25 @@ class Session:
         except Exception:
             if error is None:
                 raise
+        if error is not None:
+            self._clean_up()
         if self._log.is_file() and self._log.stat().st_size == 0:
             self._log.unlink()
+
+    def _clean_up(self) -> None:
+        """What a simulation that broke off leaves in libsumo goes with a step of one without vehicles.
+
+        Poses that were told and never stepped to are kept, and may crash the next simulation; the error log
+        may not be written out.
+        """
+        if self.api.__name__ != "libsumo":
+            return
+        with tempfile.NamedTemporaryFile("w", suffix=".net.xml") as net:
+            net.write('<net version="1.20"/>')
+            net.flush()
+            self.api.start([_binary(False), "-n", net.name, "--no-step-log", "true", "--no-warnings", "true"])
+            self.api.simulationStep()
+            self.api.close()
 
     @property
     def time(self) -> float:
@@ -69,10 +88,18 @@ class Session:
 
     def step(self) -> None:
         """Advance by one step of SUMO."""
+        time = self.time
         try:
             self.api.simulationStep()
-        except self.api.TraCIException as error:
-            raise PhaseError(f"SUMO stopped at {self.time:g} s: {self._reason() or error}") from None
+        except (self.api.TraCIException, self.api.FatalTraCIError) as error:
+            raise self._failed(f"SUMO stopped at {time:g} s", error) from None
+
+    def _failed(self, what: str, error: Exception) -> PhaseError:
+        """With SUMO's reason, which is in its log once all is closed."""
+        with suppress(Exception):
+            self.api.close()
+        self._clean_up()
+        return PhaseError(f"{what}: {self._reason() or error}")
 
     def _reason(self) -> str:
         if not self._log.is_file():
