@@ -17,6 +17,7 @@ from phase_sumo.bridge.pose import PoseWriter
 from phase_sumo.bridge.road import Road
 from phase_sumo.bridge.route import RouteLanes, follow_lanes, kept_stretch, remaining, route_lanes
 from phase_sumo.bridge.scene import Scene
+from phase_sumo.bridge.speed_limits import SpeedLimits
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.events import road_contacts
 from phase_sumo.sim.lanes import LaneNetwork
@@ -57,6 +58,7 @@ class Fleet:
         self._routes: dict[tuple[tuple[str, ...], bool], RouteLanes] = {}
         self._follow = follow_lanes(self._road)
         self._writer = PoseWriter(self._api, self._road, scene.table)
+        self._limits = SpeedLimits(self._api, network)
         self._substeps = 1
         self._publish_hitch = publish_hitch
         self.off_road = 0
@@ -93,6 +95,7 @@ class Fleet:
         """After SUMO's step: take over, give back, watch the road edge."""
         for vehicle in set(self._members) - set(self._scene.facts):
             self._drop(vehicle)
+        self._limits.update(time)
         self._locate()
         self._adopt()
         for vehicle in list(self._members):
@@ -145,13 +148,18 @@ class Fleet:
             route = tuple(self._api.vehicle.getRoute(vehicle))
             at = self._api.vehicle.getRouteIndex(vehicle)
             edges = kept_stretch(self._road, route, at)
-            if not edges:
-                continue
+            if not edges or self._stops_on(vehicle, edges) or len(set(route)) < len(route):
+                continue  # on a route that uses an edge twice, SUMO finds moved vehicles on the first lap
             lanes = self._lanes(edges, bool(facts.shape.truck))
             leads_off = at + len(edges) < len(route)
             if leads_off and remaining(self._road, lanes, int(self._node[row])) < ADOPT_ROOM:
                 continue
             self._take(vehicle, row, Member(lanes, edges, leads_off, 1.0, MAX_TARGET_SPEED))
+
+    def _stops_on(self, vehicle: str, edges: tuple[str, ...]) -> bool:
+        """Whether it has a stop ahead or under way there: SUMO drives until it is done."""
+        stops = self._api.vehicle.getStops(vehicle, 1)
+        return bool(stops) and self._scene.edge(stops[0].lane) in edges
 
     def _wanted(self, vehicle: str, kind: str) -> bool:
         if self._api.vehicletype.getParameter(kind, "has.phase.device").lower() in ("false", "0", "no"):
@@ -246,7 +254,7 @@ class Fleet:
         return self._routes[key]
 
     def _set_target_speed(self, member: Member, row: int, node: int) -> None:
-        limit = self._road.network.lanes[int(self._road.graph.node_lane[node])].speed_limit
+        limit = float(self._limits.values[self._road.graph.node_lane[node]])
         speed = member.target_speed or min(limit * member.speed_factor, member.max_speed)
         self._table["goal_speed"][row] = min(max(speed, MIN_TARGET_SPEED), MAX_TARGET_SPEED)
 
