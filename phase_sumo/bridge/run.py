@@ -218,7 +218,9 @@ class _Run:
     def _warnings(self, trips: list[Trip]) -> list[str]:
         seen = {t.type for t in trips}
         found = [f"no vehicle of type {t!r} was inserted" for t in self.choice.types if t not in seen]
-        if self.fleet and not any(t.adopted for t in trips):
+        if not trips:
+            found.append("no vehicle was inserted: check the demand and its times")
+        elif self.fleet and not any(t.adopted for t in trips):
             found.append("no vehicle was driven by PHASE: check share, types and roads")
         return found
 
