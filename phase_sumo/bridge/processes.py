@@ -73,7 +73,7 @@ def _receive(connection: Connection) -> tuple[str, Any]:
 
 
 def _stop(number: int, _: FrameType | None) -> None:
-    """End the run so that SUMO closes its outputs; Ctrl-C comes here and through our parent: once is enough."""
+    """End the run so that SUMO closes its outputs; Ctrl-C also comes through our parent: once is enough."""
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)
     raise KeyboardInterrupt
