@@ -1,4 +1,4 @@
-"""A long run with many PHASE vehicles: flat memory, every vehicle accounted for, the same seed the same bytes.
+"""A long run with many PHASE vehicles: flat memory, every vehicle accounted for, same seed, same bytes.
 
 python -m tests.soak --seconds 3600 --vehicles 500            # the hand-written driver
 python -m tests.soak --seconds 3600 --vehicles 500 --shipped  # the shipped policy
