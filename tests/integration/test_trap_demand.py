@@ -175,7 +175,8 @@ def test_additional_objects(tmp_path, additional):
         '<step-method.ballistic value="true"/>',
         '<default.action-step-length value="1"/>',
         '<device.rerouting.probability value="1"/><device.rerouting.period value="5"/>',
-        '<device.ssm.probability value="1"/><device.emissions.probability value="1"/>'
+        '<device.ssm.probability value="1"/><device.ssm.file value="ssm.xml"/>'
+        '<device.emissions.probability value="1"/>'
         '<device.driverstate.probability value="1"/>',
         '<time-to-teleport value="10"/><time-to-teleport.highways value="5"/>',
         '<collision.action value="remove"/>',
