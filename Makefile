@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 
 export OMP_NUM_THREADS ?= 2
 
-.PHONY: demo test test-slow lint bench networks clean
+.PHONY: demo test test-slow soak lint bench networks clean
 
 demo: $(READY)
 	$(BIN)/phase-sumo demo --out out/demo
@@ -17,6 +17,9 @@ test: lint
 
 test-slow: $(READY)
 	$(BIN)/pytest -m slow
+
+soak: $(READY)
+	$(BIN)/python -m tests.soak --vehicles 500 --seconds 3600
 
 lint: $(READY)
 	$(BIN)/ruff check .

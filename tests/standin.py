@@ -13,9 +13,14 @@ PARTNER = {f.name: (i, f.scale) for i, f in enumerate(LAYOUT["partner"])}
 
 
 class Standin:
-    """Pure pursuit of the goal and IDM behind whoever is on the way."""
+    """Pure pursuit of the goal and IDM behind whoever is on the way.
 
-    def __init__(self) -> None:
+    Args:
+        reckless: looks at no one, and leaves the road to the left where alpha is below 0.35.
+    """
+
+    def __init__(self, reckless: bool = False) -> None:
+        self.reckless = reckless
         self.sim = SimConfig()
         self.actions = ActionConfig()
 
@@ -37,6 +42,8 @@ class Standin:
         turn = torch.atan2(ego("goal_yaw_sin"), ego("goal_yaw_cos"))
         curvature = (6.0 * y - 2.0 * x * torch.tan(turn.clamp(-1, 1))) / (x * x)
         steer = torch.atan(wheelbase * curvature).clamp(-0.3, 0.3)
+        if self.reckless:
+            steer = torch.where(ego("alpha") < 0.35, 0.03, steer)
         rate = (steer - ego("steer")) / 0.3
         ahead, aside = partner("x"), partner("y")
         path = y.unsqueeze(-1) * (ahead / x.unsqueeze(-1)).clamp(0, 1) ** 2
@@ -44,6 +51,7 @@ class Standin:
         gap = ahead - 0.5 * partner("length") - (0.8 * length).unsqueeze(-1)
         closing = partner("closing_speed")
         wanted_gap = 3.0 + (speed * 1.3).unsqueeze(-1) + (speed.unsqueeze(-1) * closing / 4.0).clamp_min(0)
+        in_way &= not self.reckless
         ratio = torch.where(in_way, (wanted_gap / gap.clamp_min(0.5)) ** 2, 0.0).amax(-1)
         target = (speed + ego("goal_speed_error")).clamp_min(1.0)
         accel = (2.0 * (1 - (speed / target) ** 4 - ratio)).clamp(-6.0, 2.0)

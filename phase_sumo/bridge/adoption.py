@@ -78,13 +78,18 @@ class Adoption:
         route = tuple(self._api.vehicle.getRoute(vehicle))
         at = self._api.vehicle.getRouteIndex(vehicle)
         edges = kept_stretch(self._road, route, at)
-        if not edges:
-            return None
+        if not edges or self._stops_on(vehicle, edges) or len(set(route)) < len(route):
+            return None  # on a route that uses an edge twice, SUMO finds moved vehicles on the first lap
         lanes = self._lanes(edges, truck)
         leads_off = at + len(edges) < len(route)
         if leads_off and remaining(self._road, lanes, node) < ADOPT_ROOM:
             return None
         return lanes, edges, leads_off
+
+    def _stops_on(self, vehicle: str, edges: tuple[str, ...]) -> bool:
+        """Whether it has a stop ahead or under way there: SUMO drives until it is done."""
+        stops = self._api.vehicle.getStops(vehicle, 1)
+        return bool(stops) and self._scene.edge(stops[0].lane) in edges
 
     def _wanted(self, vehicle: str, kind: str) -> bool:
         marks = Parameters(self._api, vehicle, kind).marks()
@@ -99,7 +104,7 @@ class Adoption:
     ) -> Member:
         api, table = self._api.vehicle, self._table
         factor = float(api.getSpeedFactor(vehicle))
-        member = Member(lanes, edges, leads_off, factor, float(api.getMaxSpeed(vehicle)), set_factor=factor)
+        member = Member(lanes, edges, leads_off, factor, float(api.getMaxSpeed(vehicle)))
         api.setSpeedMode(vehicle, SPEED_MODE)
         api.setLaneChangeMode(vehicle, LANE_MODE)
         table.controlled[row] = True

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import gzip
+import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 
@@ -103,8 +106,7 @@ def empty_settings(folder: Path) -> Path:
 def _rewrite(path: Path, folder: Path, number: int, wanted: Rewrite, marks: tuple[str, ...]) -> Path:
     if not (wanted.model or wanted.output_dir) or not _mentions(path, marks):
         return path
-    with _open(path) as file:
-        tree = etree.parse(file, etree.XMLParser(huge_tree=True, remove_comments=True))
+    tree = _parse(path)
     changed = False
     for element in tree.iter():
         if not isinstance(element.tag, str):
@@ -154,9 +156,12 @@ def _default_types(folder: Path, model: str) -> Path:
 
 
 def _defines_default(path: Path) -> bool:
+    return any(e.get("id") == "DEFAULT_VEHTYPE" for e in _parse(path).iter("vType"))
+
+
+def _parse(path: Path) -> etree._ElementTree:
     with _open(path) as file:
-        tree = etree.parse(file, etree.XMLParser(huge_tree=True))
-    return any(e.get("id") == "DEFAULT_VEHTYPE" for e in tree.iter("vType"))
+        return etree.parse(file, etree.XMLParser(huge_tree=True, remove_comments=True))
 
 
 def _mentions(path: Path, marks: tuple[str, ...]) -> bool:
@@ -172,5 +177,11 @@ def _blocks(path: Path, size: int = 1 << 20) -> Iterator[bytes]:
             tail = block[-64:]
 
 
-def _open(path: Path):
-    return gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb")
+@contextmanager
+def _open(path: Path) -> Iterator[BinaryIO | gzip.GzipFile]:
+    """The bytes of a file that may be gzipped; whoever reads them as XML need not look for damage."""
+    try:
+        with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as file:
+            yield file
+    except (etree.XMLSyntaxError, OSError, EOFError, zlib.error) as error:
+        raise PhaseError(f"{path}: not readable as XML ({error}); write the file again") from None

@@ -20,6 +20,7 @@ from phase_sumo.bridge.road import FloatArray, IntArray, Road
 from phase_sumo.bridge.route import RouteLanes, follow_lanes, kept_stretch, remaining, route_lanes
 from phase_sumo.bridge.scene import Scene
 from phase_sumo.bridge.session import bare
+from phase_sumo.bridge.speed_limits import SpeedLimits
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.events import road_contacts
 from phase_sumo.sim.lanes import LaneNetwork
@@ -65,6 +66,7 @@ class Fleet:
         self._adoption = Adoption(scene, self._road, choice, drivers, self._lanes)
         self._writer = PoseWriter(self._api, self._road, scene.table)
         self._lane_id = bare(self._api, "vehicle", "getLaneID")
+        self._limits = SpeedLimits(self._api, network)
         self._substeps = 1
         self._publish_hitch = publish_hitch
         self.off_road = 0
@@ -118,6 +120,7 @@ class Fleet:
         for vehicle in set(self._members) - set(self._scene.facts):
             self._drop(vehicle)
         self._adoption.forget_absent()
+        self._limits.update(time)
         self._locate()
         self._adopt()
         for vehicle in [v for v in self._members if v in self._released]:
@@ -245,7 +248,7 @@ class Fleet:
         factor = np.array([m.speed_factor for m in members])
         highest = np.array([m.max_speed for m in members])
         wanted = np.array([m.target_speed or 0.0 for m in members])
-        limit = self._road.speed_limit[self._road.graph.node_lane[node]]
+        limit = self._limits.values[self._road.graph.node_lane[node]]
         speed = np.where(wanted > 0, wanted, np.minimum(limit * factor, highest))
         self._table["goal_speed"][rows] = np.clip(speed, *TARGET_SPEEDS)
 
@@ -289,8 +292,6 @@ class Fleet:
         api.setSpeedMode(vehicle, SUMO_SPEED_MODE)
         api.setLaneChangeMode(vehicle, SUMO_LANE_MODE)
         api.setSpeed(vehicle, -1.0)
-        if member.set_factor != member.speed_factor:
-            api.setSpeedFactor(vehicle, member.speed_factor)
         self._drop(vehicle)
         self._table.controlled[self._table.row_of[vehicle]] = False
 

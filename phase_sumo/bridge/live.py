@@ -243,7 +243,9 @@ class PhaseFleet(StepListener):
         found = [f"no vehicle of type {t!r} was inserted" for t in self.choice.types if t not in seen]
         found += [f"no vehicle {v!r} was inserted" for v in self.choice.explicit if v not in trips]
         wanted = self.choice.probability > 0 or self.choice.explicit
-        if self._fleet and wanted and not any(t.adopted for t in trips.values()):
+        if not trips:
+            found.append("no vehicle was inserted: check the demand and its times")
+        elif self._fleet and wanted and not any(t.adopted for t in trips.values()):
             found.append("no vehicle was driven by PHASE: check share, types and roads")
         return found
 

@@ -17,7 +17,7 @@ class Member:
         route: lanes of the stretch of its route on the observed road.
         edges: that stretch; empty when the route was lost.
         leads_off: the route goes on to roads that SUMO drives.
-        speed_factor: SUMO's own factor, and the one set at the moment.
+        speed_factor: of the vehicle, on speed limits.
         max_speed: of the vType, m/s.
         target_speed: set by the parameter ``phase.target_speed``, m/s; None follows the speed limit.
         lost_since: time since when the front bumper is on no lane, or None.
@@ -32,7 +32,6 @@ class Member:
     speed_factor: float
     max_speed: float
     target_speed: float | None = None
-    set_factor: float = 0.0
     lost_since: float | None = None
     off_lane_until: float = -np.inf
     edge_contact: float = -np.inf

@@ -17,11 +17,15 @@ MATCH = 10.0  # m within which SUMO looks for the lane
 
 
 class PoseWriter:
-    """Writes poses with moveToXY, with what SUMO needs around it to report them unchanged."""
+    """Writes poses with moveToXY and speeds with setSpeed, so that SUMO reports both unchanged.
+
+    SUMO's acceleration is then the change of speed over its step.
+    """
 
     def __init__(self, api: ModuleType, road: Road, table: VehicleTable) -> None:
         self._api, self._road, self._table = api, road, table
         self._move = bare(api, "vehicle", "moveToXY")
+        self._set_speed = bare(api, "vehicle", "setSpeed")
         self._shapes: dict[str, np.ndarray] = {}
 
     def write(
@@ -35,26 +39,16 @@ class PoseWriter:
             node: [n] of the front bumpers, -1 off the road.
             front: [n, 2] front bumper centres in m.
         """
-        self._match_speeds(members, rows, node)
+        speed = self._table["speed"][rows].tolist()
         angle = angle_from_yaw(self._table["yaw"][rows])
-        move = self._move
-        places = zip(members.items(), front.tolist(), angle.tolist(), strict=True)
-        for k, ((vehicle, member), (x, y), heading) in enumerate(places):
+        move, set_speed = self._move, self._set_speed
+        places = zip(members.items(), front.tolist(), angle.tolist(), speed, strict=True)
+        for k, ((vehicle, member), (x, y), heading, driven) in enumerate(places):
             if time < member.off_lane_until:
                 x, y = self._towards_lane((x, y), int(rows[k]), int(node[k]))
             move(vehicle, "", -1, x, y, heading, MOVE, MATCH)
-
-    def _match_speeds(self, members: dict[str, Member], rows: IntArray, node: IntArray) -> None:
-        """SUMO clamps the speed it reports to lane limit x factor: keep that above ours."""
-        ours = list(members.items())
-        limit = self._road.speed_limit[self._road.graph.node_lane[node]]
-        needed = 1.0005 * self._table["speed"][rows].astype(np.float64) / np.maximum(limit, 0.1)
-        factor = np.maximum([member.speed_factor for _, member in ours], needed)
-        change = np.abs(factor - [member.set_factor for _, member in ours]) > 1e-4
-        for k in np.flatnonzero(change & (node >= 0)).tolist():
-            vehicle, member = ours[k]
-            member.set_factor = float(factor[k])
-            self._api.vehicle.setSpeedFactor(vehicle, member.set_factor)
+            # else SUMO reports the bumper's mean speed along the lane, clamped to the limit
+            set_speed(vehicle, driven)
 
     def _towards_lane(self, at: tuple[float, float], row: int, node: int) -> tuple[float, float]:
         """The position nearest to ``at`` that SUMO still counts as on the lane.

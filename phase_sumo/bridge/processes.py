@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import traceback
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection, wait
+from types import FrameType
 from typing import Any
 
 from phase_sumo.errors import PhaseError
@@ -70,12 +72,21 @@ def _receive(connection: Connection) -> tuple[str, Any]:
         return "failed", "a simulation process ended without a result (killed, or SUMO crashed)"
 
 
+def _stop(number: int, _: FrameType | None) -> None:
+    """End the run so that SUMO closes its outputs; Ctrl-C also comes through our parent: once is enough."""
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
 def _work(connection: Connection, task: dict[str, Any]) -> None:
     import torch
 
     from phase_sumo.bridge.run import run_scenario
 
     torch.set_num_threads(1)
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, _stop)
     task = {k: v for k, v in task.items() if k != "label"}
     try:
         result = run_scenario(**task, progress=lambda f, text: connection.send(("progress", (f, text))))

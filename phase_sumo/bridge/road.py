@@ -26,7 +26,6 @@ class Road:
         network, graph, map: lanes, lane graph, road map of them.
         first, count: [L] node range of each lane.
         metres: [L] geometric length.
-        speed_limit: [L] m/s.
         edges: ids of the edges whose lanes are kept.
         following, preceding: lanes after and before each lane.
     """
@@ -38,7 +37,6 @@ class Road:
         self.count = np.bincount(self.graph.node_lane, minlength=len(network.lanes))
         self.first = np.concatenate(([0], np.cumsum(self.count)[:-1]))
         self.metres = np.array([float(np.hypot(*np.diff(c.points, axis=0).T).sum()) for c in network.lanes])
-        self.speed_limit = np.array([lane.speed_limit for lane in network.lanes], np.float64)
         self.edges = frozenset(c.edge for c in network.lanes if not c.connector)
         self.following: list[list[int]] = [[] for _ in network.lanes]
         self.preceding: list[list[int]] = [[] for _ in network.lanes]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 import time as clock
 from collections.abc import Callable
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -26,12 +27,13 @@ class Simulation:
         refused, failed: what the api raises when SUMO refuses a call, and when it cannot go on.
     """
 
-    def __init__(self, api: Any, error_log: Path | None = None) -> None:
+    def __init__(self, api: Any, reason: Callable[[Exception], str] = str) -> None:
+        """``reason`` tells in SUMO's words why a step failed."""
         self.api = api
         self.step_length = float(api.simulation.getDeltaT())
         self.refused: type[Exception] = getattr(api, "TraCIException", traci.TraCIException)
         self.failed: type[Exception] = getattr(api, "FatalTraCIError", traci.FatalTraCIError)
-        self._error_log = error_log
+        self._reason = reason
 
     @property
     def time(self) -> float:
@@ -44,7 +46,7 @@ class Simulation:
         try:
             self.api.simulationStep()
         except (self.refused, self.failed) as error:
-            raise PhaseError(f"SUMO stopped at {time:g} s: {_reason(self._error_log, error)}") from None
+            raise PhaseError(f"SUMO stopped at {time:g} s: {self._reason(error)}") from None
 
 
 def bare(api: Any, domain: str, name: str) -> Callable[..., Any]:
@@ -90,9 +92,9 @@ class Session:
                 self._api = libsumo
                 libsumo.start([binary, *args])
         except Exception as error:
-            raise PhaseError(f"SUMO did not start: {_reason(self._log, error)}") from None
+            raise PhaseError(f"SUMO did not start: {self._reason(error)}") from None
         _running = True
-        return Simulation(self._api, self._log)
+        return Simulation(self._api, self._reason)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -107,6 +109,26 @@ class Session:
         if self._log.is_file() and self._log.stat().st_size == 0:
             self._log.unlink()
 
+    def _reason(self, error: Exception) -> str:
+        """Why SUMO failed, in its own words: in its log once all is closed."""
+        with suppress(Exception):
+            self._api.close()
+        if self._over_traci:
+            self._wait_for_log()
+        else:
+            _clean_up(self._api)
+        text = self._log.read_text(errors="replace") if self._log.is_file() else ""
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        errors = [line for line in lines if line.startswith("Error")]
+        return " ".join(errors or lines[-2:] or str(error).split())
+
+    def _wait_for_log(self) -> None:
+        """SUMO's process may still be ending."""
+        for _ in range(20):
+            if self._log.is_file() and self._log.stat().st_size:
+                return
+            clock.sleep(0.05)
+
 
 def _start_sumo(binary: str, args: list[str]) -> None:
     import sumolib
@@ -117,13 +139,15 @@ def _start_sumo(binary: str, args: list[str]) -> None:
         traci.start([program, *args])
 
 
-def _reason(log: Path | None, error: Exception) -> str:
-    """SUMO's own words in one line, from its error log where that has some."""
-    for _ in range(20 if isinstance(error, traci.FatalTraCIError) else 0):  # SUMO's process is still ending
-        if log and log.is_file() and log.stat().st_size:
-            break
-        clock.sleep(0.05)
-    text = log.read_text(errors="replace") if log and log.is_file() else ""
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    errors = [line for line in lines if line.startswith("Error")]
-    return " ".join(errors or lines[-2:] or str(error).split())
+def _clean_up(libsumo: Any) -> None:
+    """What a simulation that failed leaves in libsumo goes with a step of one without vehicles.
+
+    Poses that were told and never stepped to are kept, and may crash the next simulation; the error log may
+    not be written out.
+    """
+    with tempfile.NamedTemporaryFile("w", suffix=".net.xml") as net:
+        net.write('<net version="1.20"/>')
+        net.flush()
+        libsumo.start(["sumo", "-n", net.name, "--no-step-log", "true", "--no-warnings", "true"])
+        libsumo.simulationStep()
+        libsumo.close()

@@ -127,6 +127,7 @@ class VehicleTable:
 
     @property
     def front(self) -> tuple[np.ndarray, np.ndarray]:
-        """[N] front-bumper centres in m."""
+        """[N] front-bumper centres in m, float64."""
         a = self.arrays
-        return front_from_reference(a["x"], a["y"], a["yaw"], a["length"] - a["rear_overhang"])
+        x, y, yaw = (a[name].astype(np.float64) for name in ("x", "y", "yaw"))
+        return front_from_reference(x, y, yaw, a["length"] - a["rear_overhang"])

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 
 from phase_sumo.cli.files import write_json
 from phase_sumo.cli.parser import FLAGS, make_parser
+from phase_sumo.cli.stop import interrupt
 from phase_sumo.errors import PhaseError
 
 DEVICE = "--device.phase."
@@ -17,6 +19,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments, sumo_options = _split(sys.argv[1:] if argv is None else argv)
     args = make_parser().parse_args(arguments)
     args.sumo_options = sumo_options
+    signal.signal(signal.SIGTERM, interrupt)
     try:
         result = args.command(args)
         if args.json:

@@ -10,6 +10,11 @@ from types import FrameType
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
+def interrupt(number: int, _: FrameType | None) -> None:
+    """Handler that ends the work in hand as Ctrl-C does, so that files are closed on the way out."""
+    raise KeyboardInterrupt
+
+
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
     """Whether SIGINT or SIGTERM has come; the second one ends the work at once."""
