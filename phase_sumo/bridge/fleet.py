@@ -34,13 +34,7 @@ VAPORIZED = 3
 
 
 class Fleet:
-    """Owns the poses of its vehicles; SUMO is told about them after every step.
-
-    Attributes:
-        off_road: contacts of PHASE vehicles with the road edge, one per contact.
-        wrong_exits, reroutes: vehicles that left their route, and those that SUMO found another way for.
-        hand_backs: vehicles given back to SUMO before the observed road ends.
-    """
+    """Owns the poses of its vehicles; SUMO is told about them after every step."""
 
     def __init__(
         self, scene: Scene, network: LaneNetwork, driver: Driver, choice: Choice, publish_hitch: bool = False
@@ -59,10 +53,6 @@ class Fleet:
         self._writer = PoseWriter(self._api, self._road, scene.table)
         self._substeps = 1
         self._publish_hitch = publish_hitch
-        self.off_road = 0
-        self.wrong_exits = 0
-        self.reroutes = 0
-        self.hand_backs = 0
 
     @property
     def cpu_per_decision(self) -> float:
@@ -71,10 +61,11 @@ class Fleet:
 
     def report(self) -> dict[str, Any]:
         """Counts beyond the common ones."""
+        happened = self._scene.events.counts()
         return {
-            "wrong_exits": self.wrong_exits,
-            "reroutes": self.reroutes,
-            "hand_backs": self.hand_backs,
+            "wrong_exits": happened["wrong exit"],
+            "reroutes": happened["reroute"],
+            "hand_backs": happened["hand-back"],
             "lane_change_goals": self._planner.changes_wanted,
             "decisions": self._controller.decisions,
         }
@@ -99,6 +90,18 @@ class Fleet:
             self._check(vehicle, time)
         self._watch_road_edge(time)
 
+    def publish_motion(self) -> None:
+        """Between SUMO's moves and its outputs: the model's speeds and accelerations.
+
+        SUMO derives both from the way along its lanes, which is not ours in curves and lane changes, and
+        holds the speed to its limits.
+        """
+        api, speed, accel = self._api.vehicle, self._table["speed"], self._table["accel"]
+        for vehicle in self._members:
+            row = self._table.row_of[vehicle]
+            with contextlib.suppress(self._api.TraCIException):  # SUMO took it out in this step
+                api.setPreviousSpeed(vehicle, float(speed[row]), float(accel[row]))
+
     def drive(self, time: float) -> None:
         """Move the vehicles and tell SUMO where they will be after its next step."""
         routes = {vehicle: member.route for vehicle, member in self._members.items()}
@@ -116,7 +119,7 @@ class Fleet:
             trip.policy_seconds += seconds
             trip.policy_metres += float(self._table["speed"][row]) * seconds
             if self._publish_hitch and self._table["trailer_length"][row] > 0:
-                self._api.vehicle.setParameter(vehicle, "phase.hitch", f"{self._table['hitch'][row]:.4f}")
+                self._api.vehicle.setParameter(vehicle, "phase.hitch", f"{self._table['hitch'][row]:.6f}")
             front = (float(front_x[row]), float(front_y[row]))
             self._writer.write(vehicle, member, int(nodes[row]), front, float(angle[row]), time)
         self._node = nodes
@@ -174,6 +177,8 @@ class Fleet:
         self._scene.lane_of.pop(vehicle, None)
         self._scene.trips[vehicle].adopted = True
         self._set_target_speed(member, row, int(self._node[row]))
+        fresh = vehicle in self._scene.session.departed
+        self._scene.events.record("adoption", vehicle, "departed" if fresh else "reached the observed road")
 
     def _accel_bounds(self, row: int) -> tuple[float, float]:
         sim = self._driver.sim
@@ -217,13 +222,13 @@ class Fleet:
 
     def _lost_route(self, vehicle: str, member: Member) -> None:
         """Off its route: let SUMO look for another way, else follow the lane."""
+        goal = member.edges[-1] if member.edges else ""
         if not member.wrong:
             member.wrong = True
-            self.wrong_exits += 1
+            self._scene.events.record("wrong exit", vehicle, f"off the way to {goal}" if goal else "")
         lane = self._api.vehicle.getLaneID(vehicle)
         if lane.startswith(":"):
             return
-        goal = member.edges[-1] if member.edges else ""
         route: tuple[str, ...] = ()
         with contextlib.suppress(self._api.TraCIException):
             self._api.vehicle.changeTarget(vehicle, goal)
@@ -235,7 +240,7 @@ class Fleet:
         node = int(self._node[self._table.row_of[vehicle]])
         if lanes is not None and np.isfinite(lanes.changes[self._road.graph.node_lane[node]]):
             member.route, member.edges, member.wrong = lanes, edges, False
-            self.reroutes += 1
+            self._scene.events.record("reroute", vehicle, f"another way to {goal}")
         else:
             member.route, member.edges, member.leads_off = self._follow, (), False
 
@@ -269,7 +274,7 @@ class Fleet:
 
     def _hand_back(self, vehicle: str, member: Member) -> None:
         api = self._api.vehicle
-        self.hand_backs += 1
+        self._scene.events.record("hand-back", vehicle, "the observed road ends")
         lane = api.getLaneID(vehicle)
         if lane and not lane.startswith(":"):
             api.moveTo(vehicle, lane, api.getLanePosition(vehicle))
@@ -286,9 +291,8 @@ class Fleet:
         self._table.controlled[self._table.row_of[vehicle]] = False
 
     def _remove(self, vehicle: str, reason: str) -> None:
+        self._scene.take_out(vehicle, reason)
         self._api.vehicle.remove(vehicle, VAPORIZED)
-        self._scene.trips[vehicle].removed = reason
-        self._scene.forget(vehicle)
         self._drop(vehicle)
 
     def _drop(self, vehicle: str) -> None:
@@ -304,6 +308,9 @@ class Fleet:
         touching, _ = road_contacts(box, self._road.map, torch.zeros(1, dtype=torch.long), len(rows))
         for row in rows[touching[0].numpy()].tolist():
             member = self._members[self._table.ids[row]]
-            if time - member.edge_contact > EDGE_CONTACT_APART:
-                self.off_road += 1
+            if member.edge_event is None or time - member.edge_contact > EDGE_CONTACT_APART:
+                off = "off the road" if self._node[row] < 0 else "contact"
+                member.edge_event = self._scene.events.record("road edge", self._table.ids[row], off)
+                member.edge_begin = time
             member.edge_contact = time
+            member.edge_event.seconds = round(time - member.edge_begin, 3)

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from phase_sumo.bridge.choice import Choice
-from phase_sumo.bridge.contacts import ContactMonitor, write_contacts
+from phase_sumo.bridge.contacts import ContactMonitor
 from phase_sumo.bridge.controller import Driver
 from phase_sumo.bridge.demand import sumo_model
+from phase_sumo.bridge.event_log import write_events
 from phase_sumo.bridge.fleet import Fleet
 from phase_sumo.bridge.network import read_network
 from phase_sumo.bridge.options import SumoScenario, command, read_scenario
@@ -108,7 +109,7 @@ def run_scenario(
             trajectories = recorder.finish() if recorder else None
             result = run.result()
         if output_dir:
-            write_contacts(work_dir / "events.csv", run.monitor.contacts)
+            write_events(work_dir / "events.csv", run.scene.events.events)
             write_trips(work_dir / "trips.csv", run.scene.trips.values())
             if trajectories is not None:
                 trajectories.save(work_dir / "trajectories.npz")
@@ -132,7 +133,7 @@ class _Run:
         self.choice = choice
         edges = frozenset(lane.edge for lane in network.lanes if not lane.connector)
         self.scene = Scene(session, edges)
-        self.monitor = ContactMonitor()
+        self.monitor = ContactMonitor(self.scene.events)
         hitch = "phase.hitch" in scenario.value("fcd-output.params")
         self.fleet = Fleet(self.scene, network, driver, choice, hitch) if driver else None
         self.begin = session.time
@@ -145,7 +146,7 @@ class _Run:
         if self.fleet:
             self.fleet.check_step(self.session.step_length)
         while True:
-            self.session.step()
+            self.session.step(self.fleet.publish_motion if self.fleet else None)
             time = self.session.time
             self.scene.update()
             if self.fleet:
@@ -172,14 +173,14 @@ class _Run:
         return 1.0 - left / max(left + len(self.scene.trips) - len(self.scene.facts), 1)
 
     def _line(self, time: float) -> str:
-        phase, contacts = int(self.scene.table.controlled.sum()), len(self.monitor.contacts)
+        phase, contacts = int(self.scene.table.controlled.sum()), len(self.scene.events.of("collision"))
         return f"{time:.0f} s: {len(self.scene.facts)} vehicles, {phase} PHASE, {contacts} contacts"
 
     def result(self) -> dict[str, Any]:
         """What the run counts, by the names of the command line's JSON."""
         trips = list(self.scene.trips.values())
         phase = [t for t in trips if t.adopted]
-        contacts = self.monitor.contacts
+        collisions = self.scene.events.of("collision")
         sim_seconds = self.session.time - self.begin
         accounts = self.scene.accounts()
         travel = [t.arrive - t.depart for t in trips if math.isfinite(t.arrive)]
@@ -190,10 +191,10 @@ class _Run:
             "vehicles": len(trips),
             "phase_vehicles": len(phase),
             "arrived": sum(math.isfinite(t.arrive) for t in phase) if self.fleet else accounts["arrived"],
-            "collisions": len(contacts),
-            "phase_collisions": sum(c.phase for c in contacts),
-            "phase_at_fault_collisions": sum(c.phase_at_fault for c in contacts),
-            "off_road": self.fleet.off_road if self.fleet else 0,
+            "collisions": len(collisions),
+            "phase_collisions": sum(c.with_phase for c in collisions),
+            "phase_at_fault_collisions": sum(c.phase_at_fault for c in collisions),
+            "off_road": len(self.scene.events.of("road edge")),
             "phase_vehicle_km": sum(t.policy_metres for t in trips) / 1000.0,
             "sim_seconds": sim_seconds,
             "wall_seconds": self.wall,

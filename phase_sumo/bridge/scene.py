@@ -14,6 +14,7 @@ from phase_sumo.bridge.conventions import (
     vehicle_kind,
     yaw_from_angle,
 )
+from phase_sumo.bridge.event_log import EventLog
 from phase_sumo.bridge.session import Session
 from phase_sumo.bridge.table import VehicleTable
 
@@ -63,7 +64,7 @@ class Scene:
         facts: type and shape of the present vehicles.
         types: vehicle id -> vType id of the present vehicles.
         lane_of: lane id of the SUMO-driven vehicles in the table.
-        departed: ids inserted in the last step.
+        events: what happened.
     """
 
     def __init__(self, session: Session, observed_edges: frozenset[str] | None) -> None:
@@ -75,18 +76,17 @@ class Scene:
         self.facts: dict[str, VehicleFacts] = {}
         self.types: dict[str, str] = {}
         self.lane_of: dict[str, str] = {}
-        self.departed: tuple[str, ...] = ()
+        self.events = EventLog(session, self.table, self.types)
         self._observed = observed_edges
         self._type_facts: dict[str, VehicleFacts] = {}
         self._edge_of: dict[str, str] = {}
 
     def update(self) -> None:
         """Read what the last step of SUMO changed; rows of controlled vehicles are left alone."""
-        time = self.session.time
-        self.departed = tuple(self.api.simulation.getDepartedIDList())
-        for vehicle in self.departed:
+        time = self.events.now
+        for vehicle in self.session.departed:
             self._enter(vehicle, time)
-        for vehicle in self.api.simulation.getArrivedIDList():
+        for vehicle in self.session.arrived:
             if vehicle in self.facts:
                 self.trips[vehicle].arrive = time
                 self.forget(vehicle)
@@ -94,11 +94,16 @@ class Scene:
         if len(present) != len(self.facts):
             for vehicle in set(self.facts) - set(present):
                 if not self._exists(vehicle):
-                    self.trips[vehicle].removed = "removed by SUMO"
-                    self.forget(vehicle)
+                    self.take_out(vehicle, "removed by SUMO")
         self._mirror(present)
         for vehicle in self.facts:
             self.trips[vehicle].seconds += self.session.step_length
+
+    def take_out(self, vehicle: str, reason: str) -> None:
+        """The vehicle leaves the simulation before its arrival."""
+        self.events.record("removal", vehicle, reason)
+        self.trips[vehicle].removed = reason
+        self.forget(vehicle)
 
     def forget(self, vehicle: str) -> None:
         """The vehicle left the simulation."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, TracebackType
 
@@ -20,6 +21,7 @@ class Session:
     Attributes:
         api: the ``libsumo`` module (``traci`` with a window where libsumo has none).
         step_length: s.
+        departed, arrived: ids of the vehicles that entered and left in the last step.
     """
 
     def __init__(self, args: list[str], work_dir: Path, gui: bool = False) -> None:
@@ -28,6 +30,8 @@ class Session:
         self._log = work_dir / "sumo_errors.txt"
         self.api: ModuleType
         self.step_length = 1.0
+        self.departed: tuple[str, ...] = ()
+        self.arrived: tuple[str, ...] = ()
 
     def __enter__(self) -> Session:
         global _running
@@ -67,9 +71,19 @@ class Session:
         """Seconds since the scenario's midnight."""
         return float(self.api.simulation.getTime())
 
-    def step(self) -> None:
-        """Advance by one step of SUMO."""
+    def step(self, moved: Callable[[], None] | None = None) -> None:
+        """Advance by one step of SUMO.
+
+        Args:
+            moved: called after SUMO moved its vehicles and before it writes its outputs.
+        """
         try:
+            self.api.simulation.executeMove()
+            # the second part of the step empties these lists
+            self.departed = tuple(self.api.simulation.getDepartedIDList())
+            self.arrived = tuple(self.api.simulation.getArrivedIDList())
+            if moved:
+                moved()
             self.api.simulationStep()
         except self.api.TraCIException as error:
             raise PhaseError(f"SUMO stopped at {self.time:g} s: {self._reason() or error}") from None
