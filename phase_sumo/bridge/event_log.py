@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -116,9 +116,23 @@ class EventLog:
         """The events of one kind."""
         return [event for event in self.events if event.kind == kind]
 
+    def turns(self) -> defaultdict[str, list[Event]]:
+        """Vehicle -> its hand-overs to and from the policy, in order."""
+        found: defaultdict[str, list[Event]] = defaultdict(list)
+        for event in self.events:
+            if event.kind in ("adoption", "hand-back"):
+                found[event.vehicle].append(event)
+        return found
+
     def counts(self) -> Counter[str]:
         """How many of each kind."""
         return Counter(event.kind for event in self.events)
+
+
+def under_policy(turns: list[Event], time: float) -> bool:
+    """Whether the policy drove a vehicle at some time, from its hand-overs."""
+    before = [event for event in turns if event.time <= time]
+    return bool(before) and before[-1].kind == "adoption"
 
 
 def write_events(path: Path, events: Iterable[Event]) -> None:

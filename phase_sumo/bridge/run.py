@@ -23,6 +23,8 @@ from phase_sumo.bridge.options import SumoScenario, command, read_scenario
 from phase_sumo.bridge.recorder import Recorder
 from phase_sumo.bridge.scene import Scene, Trip
 from phase_sumo.bridge.session import Session
+from phase_sumo.bridge.sumo_outputs import OUTPUTS, SumoOutputs
+from phase_sumo.bridge.trailers import Trailers
 from phase_sumo.errors import PhaseError
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.lanes import LaneNetwork
@@ -107,7 +109,8 @@ def run_scenario(
             )
             run.loop(stop, recorder, progress)
             trajectories = recorder.finish() if recorder else None
-            result = run.result()
+        run.outputs.settle()
+        result = run.result()
         if output_dir:
             write_events(work_dir / "events.csv", run.scene.events.events)
             write_trips(work_dir / "trips.csv", run.scene.trips.values())
@@ -136,7 +139,10 @@ class _Run:
         self.monitor = ContactMonitor(self.scene.events)
         hitch = "phase.hitch" in scenario.value("fcd-output.params")
         self.fleet = Fleet(self.scene, network, driver, choice, hitch) if driver else None
-        self.begin = session.time
+        self.outputs = SumoOutputs(self.scene, [name for name in OUTPUTS if scenario.value(name)])
+        self.trailers = Trailers(session.api, self.scene.table) if session.gui else None
+        self.begin = self.end = session.time
+        self.waiting = 0
         self.wall = 0.0
 
     def loop(self, stop: float | None, recorder: Recorder | None, progress: Progress | None) -> None:
@@ -145,6 +151,7 @@ class _Run:
         simulation = self.session.api.simulation
         if self.fleet:
             self.fleet.check_step(self.session.step_length)
+            self.fleet.check_calibrators()
         while True:
             self.session.step(self.fleet.publish_motion if self.fleet else None)
             time = self.session.time
@@ -152,6 +159,9 @@ class _Run:
             if self.fleet:
                 self.fleet.follow_sumo(time)
             self.monitor.update(self.scene.table, time, self.scene.types)
+            self.outputs.update()
+            if self.trailers:
+                self.trailers.update()
             if recorder and recorder.due(time):
                 recorder.sample(time, self.scene.table, self.scene.types)
             if simulation.getMinExpectedNumber() == 0 or (stop is not None and time >= stop - 1e-6):
@@ -163,6 +173,8 @@ class _Run:
                 shown = now
                 progress(self._fraction(time, stop), self._line(time))
         self.wall = clock.perf_counter() - started
+        self.end = self.session.time
+        self.waiting = len(simulation.getPendingVehicles())
         if progress:
             progress(1.0, self._line(self.session.time))
 
@@ -181,7 +193,7 @@ class _Run:
         trips = list(self.scene.trips.values())
         phase = [t for t in trips if t.adopted]
         collisions = self.scene.events.of("collision")
-        sim_seconds = self.session.time - self.begin
+        sim_seconds = self.end - self.begin
         accounts = self.scene.accounts()
         travel = [t.arrive - t.depart for t in trips if math.isfinite(t.arrive)]
         result: dict[str, Any] = {
@@ -206,12 +218,12 @@ class _Run:
             "phase_arrived_under_policy": sum(t.finished for t in phase),
             "mean_travel_time": sum(travel) / len(travel) if travel else None,
             "mean_depart_delay": sum(t.delay for t in trips) / len(trips) if trips else None,
-            "waiting_for_insertion": len(self.session.api.simulation.getPendingVehicles()),
+            "waiting_for_insertion": self.waiting,
             "accounts": accounts,
             "accounts_balance": accounts["inserted"]
             == sum(v for k, v in accounts.items() if k != "inserted"),
         }
-        result["warnings"] = self._warnings(trips)
+        result["warnings"] = self._warnings(trips) + self.outputs.warnings
         if self.fleet:
             result["fleet"] = self.fleet.report()
         return result

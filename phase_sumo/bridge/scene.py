@@ -18,6 +18,8 @@ from phase_sumo.bridge.event_log import EventLog
 from phase_sumo.bridge.session import Session
 from phase_sumo.bridge.table import VehicleTable
 
+REMOVED_BY_SUMO = "by SUMO"
+
 
 @dataclass
 class Trip:
@@ -25,8 +27,8 @@ class Trip:
 
     Attributes:
         vehicle, type: ids.
-        depart, delay: s, of the insertion, and how much later than wanted that was.
-        arrive: s, NaN while it runs or when it was removed.
+        depart, delay: s, of the insertion as in SUMO's tripinfo, and how much later than wanted that was.
+        arrive: s, as in SUMO's tripinfo, NaN while it runs or when it was removed.
         removed: reason, "" if it was not.
         policy_seconds, seconds: under the policy, and in total.
         policy_metres: driven under the policy.
@@ -94,7 +96,7 @@ class Scene:
         if len(present) != len(self.facts):
             for vehicle in set(self.facts) - set(present):
                 if not self._exists(vehicle):
-                    self.take_out(vehicle, "removed by SUMO")
+                    self.take_out(vehicle, REMOVED_BY_SUMO)
         self._mirror(present)
         for vehicle in self.facts:
             self.trips[vehicle].seconds += self.session.step_length

@@ -20,13 +20,14 @@ class Session:
 
     Attributes:
         api: the ``libsumo`` module (``traci`` with a window where libsumo has none).
+        gui: SUMO shows its window.
         step_length: s.
         departed, arrived: ids of the vehicles that entered and left in the last step.
     """
 
     def __init__(self, args: list[str], work_dir: Path, gui: bool = False) -> None:
         self._args = args
-        self._gui = gui
+        self.gui = gui
         self._log = work_dir / "sumo_errors.txt"
         self.api: ModuleType
         self.step_length = 1.0
@@ -39,14 +40,14 @@ class Session:
             raise PhaseError(
                 "a SUMO simulation is already running in this process; run this one in another process"
             )
-        self.api = _client(self._gui)
+        self.api = _client(self.gui)
         args = list(self._args)
         if "--error-log" not in args:
             args += ["--error-log", str(self._log.resolve())]
-        if self._gui:
+        if self.gui:
             args += ["--start", "true", "--quit-on-end", "true"]
         try:
-            self.api.start([_binary(self._gui), *args])
+            self.api.start([_binary(self.gui), *args])
         except Exception as error:
             raise PhaseError(f"SUMO did not start: {self._reason() or error}") from None
         _running = True
