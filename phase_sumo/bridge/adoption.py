@@ -115,6 +115,8 @@ class Adoption:
         table["accel_history"][row] = table["accel"][row]
         self._scene.lane_of.pop(vehicle, None)
         self._scene.trips[vehicle].adopted = True
+        fresh = vehicle in self._scene.departed
+        self._scene.events.record("adoption", vehicle, "departed" if fresh else "reached the observed road")
         return member
 
     def read_context(self, vehicle: str, row: int, member: Member) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
+from phase_sumo.bridge.event_log import Event, EventLog
 from phase_sumo.bridge.table import VehicleTable
 from phase_sumo.sim.events import at_fault
 from phase_sumo.sim.geometry import boxes_overlap
@@ -19,43 +19,12 @@ CROSSING = np.radians(60.0)  # headings further apart are on different levels of
 
 
 @dataclass
-class Contact:
-    """Two vehicles that touched.
+class _Contact:
+    """A contact that may go on: its event, when it began and the last overlap in s."""
 
-    Attributes:
-        time: s, first overlap.
-        seconds: how long it lasted, in s.
-        a, b: vehicle ids; type_a, type_b: their vTypes.
-        x, y: middle between the two boxes in m.
-        speed_a, speed_b: m/s at the first overlap.
-        phase_a, phase_b: driven by the policy then.
-        fault_a, fault_b: the paper's rule; both when neither is clearly behind the other.
-    """
-
-    time: float
-    seconds: float
-    a: str
-    b: str
-    type_a: str
-    type_b: str
-    x: float
-    y: float
-    speed_a: float
-    speed_b: float
-    phase_a: bool
-    phase_b: bool
-    fault_a: bool
-    fault_b: bool
-
-    @property
-    def phase(self) -> bool:
-        """A vehicle under the policy is part of it."""
-        return self.phase_a or self.phase_b
-
-    @property
-    def phase_at_fault(self) -> bool:
-        """A vehicle under the policy is to blame."""
-        return (self.phase_a and self.fault_a) or (self.phase_b and self.fault_b)
+    event: Event
+    begin: float
+    last: float
 
 
 class ContactMonitor:
@@ -65,23 +34,22 @@ class ContactMonitor:
     different levels; head-on contact does not happen on one carriageway.
     """
 
-    def __init__(self) -> None:
-        self.contacts: list[Contact] = []
-        self._open: dict[tuple[str, str], tuple[Contact, float]] = {}
+    def __init__(self, log: EventLog) -> None:
+        self._log = log
+        self._open: dict[tuple[str, str], _Contact] = {}
 
-    def update(self, table: VehicleTable, time: float, types: dict[str, str]) -> list[Contact]:
-        """Contacts that begin now."""
-        new: list[Contact] = []
-        for i, j, contact in _overlaps(table, time, types):
+    def update(self, table: VehicleTable, time: float, types: dict[str, str]) -> list[Event]:
+        """Contacts that begin now; they are in the log."""
+        new: list[Event] = []
+        for i, j, event in _overlaps(table, self._log.now, types):
             pair = (table.ids[i], table.ids[j])
-            known = self._open.get(pair)
-            if known is None:
-                new.append(contact)
-                known = (contact, time)
-            known[0].seconds = time - known[0].time
-            self._open[pair] = (known[0], time)
-        self._open = {k: v for k, v in self._open.items() if time - v[1] <= APART}
-        self.contacts += new
+            contact = self._open.get(pair)
+            if contact is None:
+                new.append(self._log.add(event))
+                contact = self._open[pair] = _Contact(event, time, time)
+            contact.last = time
+            contact.event.seconds = round(time - contact.begin, 3)
+        self._open = {k: c for k, c in self._open.items() if time - c.last <= APART}
         return new
 
 
@@ -92,7 +60,7 @@ def _overlaps(table: VehicleTable, time: float, types: dict[str, str]):
     every = boxes(table.shape(), table.state())[:, :, 0]  # [6, 2, N]
     box = every[:, :, torch.from_numpy(rows)].flatten(1)
     real = np.flatnonzero(box[4].numpy() > 0)
-    owner, box = rows[real % len(rows)], box[:, torch.from_numpy(real)]
+    owner, towed, box = rows[real % len(rows)], real >= len(rows), box[:, torch.from_numpy(real)]
     radius = torch.hypot(box[4], box[5]).numpy()
     centre = box[:2].T.numpy()
     first, second = pairs_within(centre, centre, 2.0 * float(radius.max()))
@@ -101,46 +69,51 @@ def _overlaps(table: VehicleTable, time: float, types: dict[str, str]):
     first, second = torch.from_numpy(first[near]), torch.from_numpy(second[near])
     a, b = box[:, first], box[:, second]
     level = a[2] * b[2] + a[3] * b[3] > np.cos(CROSSING)
-    found: dict[tuple[int, int], Contact] = {}
+    found: dict[tuple[int, int], Event] = {}
     for k in torch.nonzero(boxes_overlap(a, b) & level).flatten().tolist():
         i, j = int(owner[first[k]]), int(owner[second[k]])
         if (i, j) not in found:
             middle = 0.5 * (a[:2, k] + b[:2, k])
-            found[i, j] = _contact(table, i, j, middle, every[:, 0], time, types)
-    return [(i, j, contact) for (i, j), contact in found.items()]
+            parts = bool(towed[first[k]]), bool(towed[second[k]])
+            found[i, j] = _event(table, (i, j), parts, middle, every[:, 0], time, types)
+    return [(i, j, event) for (i, j), event in found.items()]
 
 
-def _contact(
-    table: VehicleTable, i: int, j: int, middle, body, time: float, types: dict[str, str]
-) -> Contact:
+def _event(
+    table: VehicleTable,
+    pair: tuple[int, int],
+    towed: tuple[bool, bool],
+    middle: torch.Tensor,
+    body: torch.Tensor,
+    time: float,
+    types: dict[str, str],
+) -> Event:
+    """Rows and the boxes that touch -> event; the vehicle at fault comes first."""
+    i, j = pair
+    if not at_fault(body[:, i], body[:, j]):
+        i, j, towed = j, i, (towed[1], towed[0])
     a, b = table.ids[i], table.ids[j]
-    return Contact(
-        time=round(time, 3),
-        seconds=0.0,
-        a=a,
-        b=b,
-        type_a=types.get(a, ""),
-        type_b=types.get(b, ""),
-        x=round(float(middle[0]), 2),
-        y=round(float(middle[1]), 2),
-        speed_a=round(float(table["speed"][i]), 2),
-        speed_b=round(float(table["speed"][j]), 2),
-        phase_a=bool(table.controlled[i]),
-        phase_b=bool(table.controlled[j]),
-        fault_a=bool(at_fault(body[:, i], body[:, j])),
-        fault_b=bool(at_fault(body[:, j], body[:, i])),
+    return Event(
+        time=time,
+        kind="collision",
+        vehicle=a,
+        other=b,
+        x=float(middle[0]),
+        y=float(middle[1]),
+        speed=float(table["speed"][i]),
+        other_speed=float(table["speed"][j]),
+        type=types.get(a, ""),
+        other_type=types.get(b, ""),
+        phase=bool(table.controlled[i]),
+        other_phase=bool(table.controlled[j]),
+        fault=True,
+        other_fault=bool(at_fault(body[:, j], body[:, i])),
+        box=_box(table, i, towed[0]),
+        other_box=_box(table, j, towed[1]),
     )
 
 
-def write_contacts(path: Path, contacts: list[Contact]) -> None:
-    """One CSV line per contact."""
-    lines = [",".join(f.name for f in fields(Contact))]
-    lines += [",".join(_cell(v) for v in asdict(contact).values()) for contact in contacts]
-    path.write_text("\n".join(lines) + "\n")
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, bool):
-        return str(int(value))
-    text = f"{value:g}" if isinstance(value, float) else str(value)
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
+def _box(table: VehicleTable, row: int, towed: bool) -> str:
+    if towed:
+        return "trailer"
+    return "tractor" if table["trailer_length"][row] > 0 else "body"

@@ -36,13 +36,7 @@ VAPORIZED = 3
 
 
 class Fleet:
-    """Owns the poses of its vehicles; SUMO is told about them after every step.
-
-    Attributes:
-        off_road: contacts of PHASE vehicles with the road edge, one per contact.
-        wrong_exits, reroutes: vehicles that left their route, and those that SUMO found another way for.
-        hand_backs: vehicles given back to SUMO before the observed road ends.
-    """
+    """Owns the poses of its vehicles; SUMO is told about them after every step."""
 
     def __init__(
         self,
@@ -56,6 +50,9 @@ class Fleet:
         self._scene, self._table, self._api = scene, scene.table, scene.api
         self._drivers = drivers
         self._road = Road(network)
+        # SUMO crashes when a calibrator takes out a vehicle that was told to move: SUMO drives there
+        calibrator = self._api.calibrator
+        self._road.edges -= {calibrator.getEdgeID(name) for name in calibrator.getIDList()}
         self._planner = GoalPlanner(self._road, scene.table)
         self._controller = Controller(self._road, scene.table, drivers, self._planner)
         self._members: dict[str, Member] = {}
@@ -69,10 +66,6 @@ class Fleet:
         self._limits = SpeedLimits(self._api, network)
         self._substeps = 1
         self._publish_hitch = publish_hitch
-        self.off_road = 0
-        self.wrong_exits = 0
-        self.reroutes = 0
-        self.hand_backs = 0
 
     @property
     def cpu_per_decision(self) -> float:
@@ -81,10 +74,11 @@ class Fleet:
 
     def report(self) -> dict[str, Any]:
         """Counts beyond the common ones."""
+        happened = self._scene.events.counts()
         return {
-            "wrong_exits": self.wrong_exits,
-            "reroutes": self.reroutes,
-            "hand_backs": self.hand_backs,
+            "wrong_exits": happened["wrong exit"],
+            "reroutes": happened["reroute"],
+            "hand_backs": happened["hand-back"],
             "lane_change_goals": self._planner.changes_wanted,
             "decisions": self._controller.decisions,
         }
@@ -132,14 +126,16 @@ class Fleet:
     def drive(self, time: float) -> None:
         """Move the vehicles and tell SUMO where they will be after its next step."""
         routes = {vehicle: member.route for vehicle, member in self._members.items()}
-        before = self._node
+        before, table = self._node, self._table
+        x, y = table["x"].copy(), table["y"].copy()
         self._node = self._controller.drive(time, self._substeps, before, routes)
-        front_x, front_y = self._table.front
+        metres = np.hypot(table["x"] - x, table["y"] - y)
+        front_x, front_y = table.front
         for vehicle, past in zip(list(self._members), self._past_end(before, front_x, front_y), strict=True):
             if past:
                 self._finish(vehicle, self._members[vehicle])
         rows = self._rows()
-        self._count(rows)
+        self._count(rows, metres[rows])
         front = np.stack((front_x[rows], front_y[rows]), -1)
         self._writer.write(self._members, rows, self._node[rows], front, time)
 
@@ -148,18 +144,17 @@ class Fleet:
         row_of = self._table.row_of
         return np.fromiter((row_of[vehicle] for vehicle in self._members), np.int64, len(self._members))
 
-    def _count(self, rows: IntArray) -> None:
-        """Add the step to the trips, and publish hitch angles."""
+    def _count(self, rows: IntArray, metres: FloatArray) -> None:
+        """Add the step, of ``metres`` [n] for each member, to the trips, and publish hitch angles."""
         table, trips = self._table, self._scene.trips
         seconds = self._substeps * self._drivers.dt
-        metres = table["speed"][rows].astype(np.float64) * seconds
         for vehicle, driven in zip(self._members, metres.tolist(), strict=True):
             trip = trips[vehicle]
             trip.policy_seconds += seconds
             trip.policy_metres += driven
         if self._publish_hitch:
             for row in rows[table["trailer_length"][rows] > 0].tolist():
-                hitch = f"{table['hitch'][row]:.4f}"
+                hitch = f"{table['hitch'][row]:.6f}"
                 self._api.vehicle.setParameter(table.ids[row], "phase.hitch", hitch)
 
     def _locate(self) -> None:
@@ -214,13 +209,13 @@ class Fleet:
 
     def _lost_route(self, vehicle: str, member: Member) -> None:
         """Off its route: let SUMO look for another way, else follow the lane."""
+        goal = member.edges[-1] if member.edges else ""
         if not member.wrong:
             member.wrong = True
-            self.wrong_exits += 1
+            self._scene.events.record("wrong exit", vehicle, f"off the way to {goal}" if goal else "")
         lane = self._api.vehicle.getLaneID(vehicle)
         if lane.startswith(":"):
             return
-        goal = member.edges[-1] if member.edges else ""
         route: tuple[str, ...] = ()
         with contextlib.suppress(self._scene.session.refused):
             self._api.vehicle.changeTarget(vehicle, goal)
@@ -232,7 +227,7 @@ class Fleet:
         node = int(self._node[self._table.row_of[vehicle]])
         if lanes is not None and np.isfinite(lanes.changes[self._road.graph.node_lane[node]]):
             member.route, member.edges, member.wrong = lanes, edges, False
-            self.reroutes += 1
+            self._scene.events.record("reroute", vehicle, f"another way to {goal}")
         else:
             member.route, member.edges, member.leads_off = self._follow, (), False
 
@@ -281,7 +276,7 @@ class Fleet:
 
     def _hand_back(self, vehicle: str, member: Member) -> None:
         api = self._api.vehicle
-        self.hand_backs += 1
+        self._scene.events.record("hand-back", vehicle, "the observed road ends")
         lane = api.getLaneID(vehicle)
         if lane and not lane.startswith(":"):
             api.moveTo(vehicle, lane, api.getLanePosition(vehicle))
@@ -296,9 +291,8 @@ class Fleet:
         self._table.controlled[self._table.row_of[vehicle]] = False
 
     def _remove(self, vehicle: str, reason: str) -> None:
+        self._scene.take_out(vehicle, reason)
         self._api.vehicle.remove(vehicle, VAPORIZED)
-        self._scene.trips[vehicle].removed = reason
-        self._scene.forget(vehicle)
         self._drop(vehicle)
 
     def _drop(self, vehicle: str) -> None:
@@ -320,6 +314,9 @@ class Fleet:
         touching, _ = road_contacts(box, self._road.map, torch.zeros(1, dtype=torch.long), int(towing.sum()))
         for row in rows[touching[0].numpy()].tolist():
             member = self._members[self._table.ids[row]]
-            if time - member.edge_contact > EDGE_CONTACT_APART:
-                self.off_road += 1
+            if member.edge_event is None or time - member.edge_contact > EDGE_CONTACT_APART:
+                off = "off the road" if self._node[row] < 0 else "contact"
+                member.edge_event = self._scene.events.record("road edge", self._table.ids[row], off)
+                member.edge_begin = time
             member.edge_contact = time
+            member.edge_event.seconds = round(time - member.edge_begin, 3)

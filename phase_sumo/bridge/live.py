@@ -11,14 +11,16 @@ from typing import Any, Literal
 from traci.step import StepListener
 
 from phase_sumo.bridge.choice import Choice
-from phase_sumo.bridge.contacts import Contact, ContactMonitor
+from phase_sumo.bridge.contacts import ContactMonitor
 from phase_sumo.bridge.context import Parameters
 from phase_sumo.bridge.drivers import Driver, Drivers
+from phase_sumo.bridge.event_log import Event
 from phase_sumo.bridge.fleet import Fleet
 from phase_sumo.bridge.network import read_network
 from phase_sumo.bridge.options import check_options
 from phase_sumo.bridge.scene import Scene
 from phase_sumo.bridge.session import Simulation
+from phase_sumo.bridge.trailers import Trailers
 from phase_sumo.errors import PhaseError
 from phase_sumo.policy.checkpoint import load_policy
 
@@ -74,7 +76,8 @@ class PhaseFleet(StepListener):
         network = read_network(option("net-file"), roads)
         edges = frozenset(lane.edge for lane in network.lanes if not lane.connector)
         self.scene = Scene(self.simulation, edges)
-        self._contacts = ContactMonitor()
+        self._contacts = ContactMonitor(self.scene.events)
+        self._trailers = Trailers(api, self.scene.table) if api.hasGUI() else None
         self._fleet: Fleet | None = None
         if drives:
             common = load_policy(policy) if policy is None or isinstance(policy, str | Path) else policy
@@ -84,11 +87,12 @@ class PhaseFleet(StepListener):
             self._fleet.check_step(self.simulation.step_length)
         self._start = self._last = self.simulation.time
         self._pending = self._closed = False
+        self._waited = 0
 
     @property
-    def contacts(self) -> list[Contact]:
-        """Every contact between two vehicles on the observed road so far."""
-        return self._contacts.contacts
+    def events(self) -> list[Event]:
+        """What happened so far: collisions, contacts with the road edge, hand-overs, removals."""
+        return self.scene.events.events
 
     @property
     def driven(self) -> int:
@@ -121,6 +125,8 @@ class PhaseFleet(StepListener):
         if self._fleet:
             self._fleet.follow_sumo(time)
         self._contacts.update(self.scene.table, time, self.scene.types)
+        if self._trailers:
+            self._trailers.update()
 
     def drive(self) -> None:
         """Move the vehicles and tell SUMO where they will be after its next step."""
@@ -173,6 +179,7 @@ class PhaseFleet(StepListener):
 
         libsumo keeps poses that it never stepped to, and its next simulation in this process would crash.
         """
+        self._waited = self._waiting()
         self._closed = True
         if self._pending:
             self._pending = False
@@ -181,7 +188,8 @@ class PhaseFleet(StepListener):
 
     def report(self) -> dict[str, Any]:
         """What came of the vehicles so far, by the names of the command line's JSON."""
-        trips, fleet = list(self.scene.trips.values()), self._fleet
+        trips, fleet, events = list(self.scene.trips.values()), self._fleet, self.scene.events
+        collisions = events.of("collision")
         phase = [t for t in trips if t.adopted]
         accounts = self.scene.accounts()
         travel = [t.arrive - t.depart for t in trips if math.isfinite(t.arrive)]
@@ -191,12 +199,12 @@ class PhaseFleet(StepListener):
             "vehicles": len(trips),
             "phase_vehicles": len(phase),
             "arrived": sum(math.isfinite(t.arrive) for t in phase) if phase else accounts["arrived"],
-            "collisions": len(self.contacts),
-            "phase_collisions": sum(c.phase for c in self.contacts),
-            "phase_at_fault_collisions": sum(c.phase_at_fault for c in self.contacts),
-            "off_road": fleet.off_road if fleet else 0,
+            "collisions": len(collisions),
+            "phase_collisions": sum(c.with_phase for c in collisions),
+            "phase_at_fault_collisions": sum(c.phase_at_fault for c in collisions),
+            "off_road": len(events.of("road edge")),
             "phase_vehicle_km": sum(t.policy_metres for t in trips) / 1000.0,
-            "sim_seconds": self.simulation.time - self._start,
+            "sim_seconds": self._last - self._start,
             "policy_cpu_us_per_vehicle_step": fleet.cpu_per_decision if fleet else 0.0,
             "share_of_time_under_policy": _ratio(
                 sum(t.policy_seconds for t in phase), sum(t.seconds for t in phase)
@@ -204,7 +212,7 @@ class PhaseFleet(StepListener):
             "phase_arrived_under_policy": sum(t.finished for t in phase),
             "mean_travel_time": sum(travel) / len(travel) if travel else None,
             "mean_depart_delay": sum(t.delay for t in trips) / len(trips) if trips else None,
-            "waiting_for_insertion": len(self.simulation.api.simulation.getPendingVehicles()),
+            "waiting_for_insertion": self._waiting(),
             "accounts": accounts,
             "accounts_balance": accounts["inserted"]
             == sum(v for k, v in accounts.items() if k != "inserted"),
@@ -220,6 +228,13 @@ class PhaseFleet(StepListener):
         simulation = self.simulation.api.simulation
         end = float(simulation.getEndTime())
         return simulation.getMinExpectedNumber() == 0 or 0 <= end <= self._last
+
+    def _waiting(self) -> int:
+        """Vehicles that SUMO could not insert yet; at the end, those that it never could."""
+        if not self._closed:
+            with suppress(self.simulation.refused, self.simulation.failed):
+                return len(self.simulation.api.simulation.getPendingVehicles())
+        return self._waited
 
     def _mark(self, vehicle: str, text: str) -> Fleet:
         fleet = self._checked(vehicle)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phase_sumo.bridge.event_log import Event
 from phase_sumo.bridge.route import RouteLanes
 
 
@@ -22,7 +23,7 @@ class Member:
         target_speed: set by the parameter ``phase.target_speed``, m/s; None follows the speed limit.
         lost_since: time since when the front bumper is on no lane, or None.
         off_lane_until: time until which SUMO is told a position on a lane, see `PoseWriter`.
-        edge_contact: last time at which it touched the road edge.
+        edge_event, edge_begin, edge_contact: its last contact with the road edge, first and last time of it.
         wrong: already counted as being off its route.
     """
 
@@ -34,5 +35,7 @@ class Member:
     target_speed: float | None = None
     lost_since: float | None = None
     off_lane_until: float = -np.inf
+    edge_event: Event | None = None
+    edge_begin: float = -np.inf
     edge_contact: float = -np.inf
     wrong: bool = False

@@ -41,6 +41,7 @@ QUIET = {
     "duration-log.statistics": "false",
     "xml-validation": "never",
 }
+OWN_USE = ("tripinfo-output", "collision-output")  # outputs that settle our counts at the end
 OUTPUTS = re.compile(
     r".*-output|netstate-dump|log|message-log|error-log|save-configuration|save-state\.files"
 )
@@ -169,6 +170,10 @@ def command(
             (scenario.path.parent / target).parent.mkdir(parents=True, exist_ok=True)
             if redirect_outputs:
                 options[name] = target
+    for name in OWN_USE:
+        if not scenario.value(name):
+            (work_dir / "inputs").mkdir(exist_ok=True)
+            options[name] = str((work_dir / "inputs" / f"{name}.xml").resolve())
     wanted = Rewrite(model=model, output_dir=work_dir if redirect_outputs else None)
     routes, additional = rewrite_files(scenario.route_files, scenario.additional_files, work_dir, wanted)
     for name, old, new in (

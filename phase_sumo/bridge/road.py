@@ -26,7 +26,7 @@ class Road:
         network, graph, map: lanes, lane graph, road map of them.
         first, count: [L] node range of each lane.
         metres: [L] geometric length.
-        edges: ids of the edges whose lanes are kept.
+        edges: ids of the edges that PHASE may drive on, at first all whose lanes are kept.
         following, preceding: lanes after and before each lane.
     """
 

@@ -12,14 +12,15 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from phase_sumo.bridge.contacts import write_contacts
 from phase_sumo.bridge.demand import sumo_model
 from phase_sumo.bridge.drivers import Driver
+from phase_sumo.bridge.event_log import write_events
 from phase_sumo.bridge.live import PhaseFleet
 from phase_sumo.bridge.options import command, read_scenario
 from phase_sumo.bridge.recorder import Recorder
 from phase_sumo.bridge.scene import Trip
 from phase_sumo.bridge.session import Session, Simulation
+from phase_sumo.bridge.sumo_outputs import OUTPUTS, SumoOutputs
 from phase_sumo.policy.checkpoint import load_policy
 
 Progress = Callable[[float, str], None]
@@ -108,18 +109,21 @@ def run_scenario(
                 roads=roads,
                 drives=phase,
             )
+            outputs = SumoOutputs(fleet.scene, [name for name in OUTPUTS if scenario.value(name)])
             period = max(RECORD_PERIOD, simulation.step_length)
             recorder = Recorder(simulation.api, period) if output_dir and record else None
             try:
-                wall = _loop(simulation, fleet, stop, recorder, progress)
+                wall = _loop(simulation, fleet, outputs, stop, recorder, progress)
             finally:
                 fleet.close()
             trajectories = recorder.finish() if recorder else None
-            report = fleet.report()
+        outputs.settle()
+        report = fleet.report()
+        report["warnings"] += outputs.warnings
         rate = report["sim_seconds"] / wall if wall else math.nan
         result = {"scenario": str(scenario.path), **report, "wall_seconds": wall, "real_time_factor": rate}
         if output_dir:
-            write_contacts(work_dir / "events.csv", fleet.contacts)
+            write_events(work_dir / "events.csv", fleet.events)
             write_trips(work_dir / "trips.csv", fleet.scene.trips.values())
             if trajectories is not None:
                 trajectories.save(work_dir / "trajectories.npz")
@@ -130,6 +134,7 @@ def run_scenario(
 def _loop(
     simulation: Simulation,
     fleet: PhaseFleet,
+    outputs: SumoOutputs,
     stop: float | None,
     recorder: Recorder | None,
     progress: Progress | None,
@@ -140,6 +145,7 @@ def _loop(
     while True:
         simulation.step()
         fleet.observe()
+        outputs.update()
         time = simulation.time
         if recorder and recorder.due(time):
             recorder.sample(time, fleet.scene.table, fleet.scene.types)
@@ -165,7 +171,7 @@ def _fraction(fleet: PhaseFleet, begin: float, stop: float | None) -> float:
 def _line(fleet: PhaseFleet) -> str:
     return (
         f"{fleet.simulation.time:.0f} s: {len(fleet.scene.facts)} vehicles, {fleet.driven} PHASE, "
-        f"{len(fleet.contacts)} contacts"
+        f"{len(fleet.scene.events.of('collision'))} contacts"
     )
 
 

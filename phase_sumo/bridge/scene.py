@@ -9,10 +9,12 @@ import numpy as np
 
 from phase_sumo.bridge.context import Parameters
 from phase_sumo.bridge.conventions import Kind, ShapeRow, reference_from_front, yaw_from_angle
+from phase_sumo.bridge.event_log import EventLog
 from phase_sumo.bridge.session import Simulation, bare
 from phase_sumo.bridge.table import VehicleTable
 
 MIRRORED = ("LaneID", "Position", "Angle", "Speed", "Acceleration")
+REMOVED_BY_SUMO = "by SUMO"
 
 
 @dataclass
@@ -21,8 +23,8 @@ class Trip:
 
     Attributes:
         vehicle, type: ids.
-        depart, delay: s, of the insertion, and how much later than wanted that was.
-        arrive: s, NaN while it runs or when it was removed.
+        depart, delay: s, of the insertion as in SUMO's tripinfo, and how much later than wanted that was.
+        arrive: s, as in SUMO's tripinfo, NaN while it runs or when it was removed.
         removed: reason, "" if it was not.
         policy_seconds, seconds: under the policy, and in total.
         policy_metres: driven under the policy.
@@ -61,6 +63,7 @@ class Scene:
         types: vehicle id -> vType id of the present vehicles.
         lane_of: lane id of the SUMO-driven vehicles in the table.
         departed: ids inserted in the last step.
+        events: what happened.
     """
 
     def __init__(self, session: Simulation, observed_edges: frozenset[str] | None) -> None:
@@ -73,6 +76,7 @@ class Scene:
         self.types: dict[str, str] = {}
         self.lane_of: dict[str, str] = {}
         self.departed: tuple[str, ...] = ()
+        self.events = EventLog(session, self.table, self.types)
         self._observed = observed_edges
         self._edge_of: dict[str, str] = {}
         self._getters = [bare(self.api, "vehicle", f"get{name}") for name in MIRRORED]
@@ -81,7 +85,7 @@ class Scene:
 
     def update(self) -> None:
         """Read what the last step of SUMO changed; rows of controlled vehicles are left alone."""
-        time = self.session.time
+        time = self.events.now
         self.departed = tuple(self.api.simulation.getDepartedIDList())
         for vehicle in self.departed:
             self._enter(vehicle, time)
@@ -93,11 +97,16 @@ class Scene:
         if len(present) != len(self.facts):
             for vehicle in set(self.facts) - set(present):
                 if not self._exists(vehicle):
-                    self.trips[vehicle].removed = "removed by SUMO"
-                    self.forget(vehicle)
+                    self.take_out(vehicle, REMOVED_BY_SUMO)
         self._mirror(present)
         for vehicle in self.facts:
             self.trips[vehicle].seconds += self.session.step_length
+
+    def take_out(self, vehicle: str, reason: str) -> None:
+        """The vehicle leaves the simulation before its arrival."""
+        self.events.record("removal", vehicle, reason)
+        self.trips[vehicle].removed = reason
+        self.forget(vehicle)
 
     def forget(self, vehicle: str) -> None:
         """The vehicle left the simulation."""

@@ -15,6 +15,7 @@ from phase_sumo.bridge.choice import Choice
 from phase_sumo.bridge.contacts import ContactMonitor
 from phase_sumo.bridge.conventions import ShapeRow
 from phase_sumo.bridge.drivers import Driver, Drivers
+from phase_sumo.bridge.event_log import Event
 from phase_sumo.bridge.fleet import Fleet
 from phase_sumo.bridge.options import command, read_scenario
 from phase_sumo.bridge.scene import Scene
@@ -112,11 +113,12 @@ def record(
     begin_from: Callable[[VehicleTable, float], None] | None = None,
 ) -> Recording:
     """Run a scenario until a time; ``begin_from`` may change the table before the fleet drives."""
-    kept, monitor = Recording(), ContactMonitor()
+    kept = Recording()
     edges = frozenset(lane.edge for lane in network.lanes if not lane.connector)
     args = command(read_scenario(cfg), cfg.parent, seed=1)
     with Session(args, cfg.parent) as session:
         scene = Scene(session, edges)
+        monitor = ContactMonitor(scene.events)
         drivers = Drivers(Recorder(driver, scene.table, kept))
         fleet = Fleet(scene, network, drivers, choice or Choice(alpha=0.8))
         fleet.check_step(session.step_length)
@@ -126,7 +128,7 @@ def record(
             scene.update()
             fleet.follow_sumo(time)
             new = monitor.update(scene.table, time, scene.types)
-            kept.steps.append(_sumo_step(time, kept, scene, new, fleet.off_road))
+            kept.steps.append(_sumo_step(time, kept, scene, new))
             kept.shapes |= {vehicle: facts.shape for vehicle, facts in scene.facts.items()}
             if time >= until - 1e-6:
                 return kept
@@ -135,13 +137,13 @@ def record(
             fleet.drive(time)
 
 
-def _sumo_step(time: float, kept: Recording, scene: Scene, new: list[Any], off_road: int) -> SumoStep:
+def _sumo_step(time: float, kept: Recording, scene: Scene, new: list[Event]) -> SumoStep:
     api, table = scene.api.vehicle, scene.table
     return SumoStep(
         time,
         len(kept.decisions),
         {v: (*api.getPosition(v), api.getAngle(v)) for v in table.row_of},
         {v: state_of(table, row) for v, row in table.row_of.items()},
-        [({c.a, c.b}, {v for v, f in ((c.a, c.fault_a), (c.b, c.fault_b)) if f}) for c in new],
-        off_road,
+        [({c.vehicle, c.other}, {c.vehicle, c.other} if c.other_fault else {c.vehicle}) for c in new],
+        len(scene.events.of("road edge")),
     )

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
-from phase_sumo.bridge.contacts import ContactMonitor, write_contacts
+from phase_sumo.bridge.contacts import ContactMonitor
 from phase_sumo.bridge.conventions import shape_from_type
+from phase_sumo.bridge.event_log import EventLog
 from phase_sumo.bridge.pose import nearest_on_line
 from phase_sumo.bridge.table import VehicleTable
 from phase_sumo.config import SimConfig
@@ -21,6 +25,14 @@ def place(table, name, x, y, yaw=0.0, shape=CAR, controlled=False):
     table["x"][row], table["y"][row], table["yaw"][row] = x, y, yaw
     table.controlled[row] = controlled
     return row
+
+
+def log_of(table, time=1.0, lane="road_1"):
+    """A log without a simulation: every vehicle is 50 m down the same lane."""
+    vehicle = SimpleNamespace(getLaneID=lambda _: lane, getLanePosition=lambda _: 50.0)
+    api = SimpleNamespace(vehicle=vehicle)
+    session: Any = SimpleNamespace(time=time + 0.1, step_length=0.1, api=api, refused=KeyError)
+    return EventLog(session, table, {})
 
 
 def test_rows_are_reused_and_the_table_doubles():
@@ -61,16 +73,19 @@ def test_trailer_of_a_sumo_vehicle_follows_as_in_the_kinematics():
 
 
 def test_one_event_per_contact_with_the_follower_at_fault():
-    table, monitor = VehicleTable(4), ContactMonitor()
+    table = VehicleTable(4)
+    log = log_of(table)
+    monitor = ContactMonitor(log)
     follower = place(table, "b", 0.0, 0.0, controlled=True)
     place(table, "a", 4.5, 0.0)
     assert len(monitor.update(table, 1.0, {"b": "car"})) == 1
     assert monitor.update(table, 1.1, {}) == []
-    contact = monitor.contacts[0]
-    assert (contact.a, contact.b) == ("b", "a")
-    assert contact.fault_a and not contact.fault_b
+    (contact,) = log.of("collision")
+    assert (contact.vehicle, contact.other, contact.type) == ("b", "a", "car")
+    assert contact.fault and not contact.other_fault
     assert contact.phase_at_fault
     assert contact.seconds == pytest.approx(0.1)
+    assert (contact.time, contact.lane, contact.position) == (1.0, "road_1", 50.0)
     table["x"][follower] = -20.0
     monitor.update(table, 1.2, {})
     monitor.update(table, 9.0, {})
@@ -79,32 +94,41 @@ def test_one_event_per_contact_with_the_follower_at_fault():
 
 
 def test_trailers_collide_too_and_gaps_do_not():
-    table, monitor = VehicleTable(4), ContactMonitor()
+    table = VehicleTable(4)
+    monitor = ContactMonitor(log_of(table))
     semi = place(table, "semi", 0.0, 0.0, shape=SEMI)
     car = place(table, "car", -12.0, 2.25)  # beside the trailer, 5 cm clear
     assert monitor.update(table, 0.0, {}) == []
     table["hitch"][semi] = 0.1  # the trailer's tail swings to the left, towards the car
-    assert len(monitor.update(table, 0.1, {})) == 1
+    (contact,) = monitor.update(table, 0.1, {})
+    assert {contact.vehicle: contact.box, contact.other: contact.other_box} == {
+        "semi": "trailer",
+        "car": "body",
+    }
     table["x"][car] = -40.0
     assert monitor.update(table, 5.0, {}) == []
 
 
 def test_roads_that_cross_on_another_level_are_no_contact():
-    table, monitor = VehicleTable(4), ContactMonitor()
+    table = VehicleTable(4)
+    monitor = ContactMonitor(log_of(table))
     place(table, "a", 0.0, 0.0)
     place(table, "b", 1.0, -1.0, yaw=np.pi / 2)
     assert monitor.update(table, 0.0, {}) == []
 
 
-def test_events_file_quotes_odd_ids(tmp_path):
-    table, monitor = VehicleTable(2), ContactMonitor()
-    place(table, "a,1", 0.0, 0.0)
-    place(table, "b", 1.0, 0.0)
-    monitor.update(table, 0.0, {})
-    write_contacts(tmp_path / "events.csv", monitor.contacts)
-    lines = (tmp_path / "events.csv").read_text().splitlines()
-    assert lines[0].startswith("time,seconds,a,b")
-    assert '"a,1"' in lines[1]
+def test_the_vehicle_at_fault_comes_first_whatever_its_row():
+    table = VehicleTable(4)
+    monitor = ContactMonitor(log_of(table))
+    place(table, "ahead", 4.5, 0.0)
+    place(table, "behind", 0.0, 0.0, controlled=True)
+    (contact,) = monitor.update(table, 1.0, {})
+    assert (contact.vehicle, contact.other) == ("behind", "ahead")
+    assert (contact.phase, contact.other_phase) == (True, False)
+    assert (contact.fault, contact.other_fault) == (True, False)
+    table["x"][table.row_of["behind"]], table["y"][table.row_of["behind"]] = 4.0, 1.5
+    (abreast,) = ContactMonitor(log_of(table)).update(table, 9.0, {})
+    assert abreast.fault and abreast.other_fault
 
 
 def test_nearest_point_of_a_line():
