@@ -24,6 +24,7 @@ class Recorder:
         self._frames: list[tuple[np.ndarray, ...]] = []
         self._vehicles: dict[str, int] = {}
         self._types: list[str] = []
+        self._emissions: list[str] = []
         self._shapes: list[np.ndarray] = []
         self._lanes: dict[str, int] = {}
 
@@ -37,7 +38,7 @@ class Recorder:
         if not len(rows):
             return
         vehicle = self._api.vehicle
-        number, lane, position, lateral = [], [], [], []
+        number, lane, position, lateral, target = [], [], [], [], []
         for row in rows.tolist():
             name = table.ids[row]
             number.append(self._number(name, table, row, types))
@@ -45,6 +46,10 @@ class Recorder:
             lane.append(self._lanes.setdefault(lane_id, len(self._lanes)) if lane_id else -1)
             position.append(vehicle.getLanePosition(name))
             lateral.append(vehicle.getLateralLanePosition(name))
+            # the limit x the vehicle's own factor; the fleet raises that factor while it drives a vehicle
+            target.append(
+                float(table["goal_speed"][row]) if table.controlled[row] else vehicle.getAllowedSpeed(name)
+            )
         self._frames.append(
             (
                 np.full(len(rows), time),
@@ -57,6 +62,8 @@ class Recorder:
                 np.array(position),
                 np.array(lateral),
                 table.controlled[rows].copy(),
+                np.array(target),
+                np.where(table.controlled[rows], table["alpha"][rows], np.nan),
             )
         )
 
@@ -65,6 +72,7 @@ class Recorder:
         if number is None:
             number = self._vehicles[name] = len(self._vehicles)
             self._types.append(types.get(name, ""))
+            self._emissions.append(self._api.vehicle.getEmissionClass(name))
             self._shapes.append(np.array([table[c][row] for c in SHAPE_COLUMNS], np.float64))
         return number
 
@@ -82,6 +90,7 @@ class Recorder:
             **samples,
             vehicle_ids=tuple(self._vehicles),
             vehicle_types=tuple(self._types),
+            emission_classes=tuple(self._emissions),
             shape=shape,
             length=front + np.maximum(shape[:, 3], shape[:, 4] - shape[:, 7]),
             lane_ids=ids,
