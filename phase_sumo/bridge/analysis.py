@@ -27,7 +27,7 @@ from phase_sumo.sim.lanes import LaneNetwork
 
 PHASE_MEASURES = {
     "phase_vehicles": Measure("PHASE vehicles", "", 0, "PHASE vehicles"),
-    "phase_arrived_under_policy": Measure("… that the policy drove to their arrival", "", 0, "PHASE vehicles"),
+    "phase_arrived_under_policy": Measure("… driven to their arrival by the policy", "", 0, "PHASE vehicles"),
     "share_of_time_under_policy": Measure("Share of their time under the policy", "", 3, "PHASE vehicles"),
     "phase_vehicle_km": Measure("Distance under the policy", "veh-km", 1, "PHASE vehicles"),
     "phase_collisions": Measure("Collisions with a PHASE vehicle", "", 0, "PHASE vehicles"),

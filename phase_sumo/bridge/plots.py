@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -31,7 +32,12 @@ INK, GRID = "#2b2f36", "#e3e6ea"  # become the page's own colours
 LONGEST_DIAGRAM = 600.0  # s shown in a time-space diagram
 MOST_CELLS = 4000  # dots of a fundamental diagram per model
 DASHES = ("solid", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1.5, 2)))
-STYLE = {"svg.fonttype": "none", "svg.hashsalt": "phase_sumo", "font.family": "sans-serif", "font.size": 10}
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "phase_sumo",
+    "font.family": "sans-serif",
+    "font.size": 10,
+}
 
 
 def colours(models: Sequence[str]) -> dict[str, str]:
@@ -55,7 +61,7 @@ def distribution(runs: Runs, name: str) -> str:
         axes.stairs(share, edges, color=colour, lw=1.9, ls=dash, label=label(model), baseline=None)
         if not curve.log:
             axes.stairs(share, edges, color=colour, alpha=0.10, fill=True)
-    if curve.log:
+    if curve.log and any(share.any() for share in shares.values()):
         axes.set_yscale("log")
     else:
         axes.set_ylim(bottom=0.0)
@@ -63,7 +69,9 @@ def distribution(runs: Runs, name: str) -> str:
 
 
 def fundamental_diagram(runs: Runs) -> str:
-    """Flow and speed over density, one dot per lane cell and slice of time; lines are medians of classes."""
+    """Flow and speed over density, a dot per cell, lines through the medians of classes; "" without cells."""
+    if not any(len(run.cells.flow) for of_model in runs.values() for run in of_model):
+        return ""
     figure = Figure(figsize=(12.8, 4.0), dpi=110, layout="constrained")
     left, right = figure.subplots(1, 2)
     for (model, colour), dash in zip(colours(list(runs)).items(), _dashes(len(runs)), strict=True):

@@ -64,6 +64,7 @@ def write_report(
         colours=plots.colours(models),
         phase_colour=pictures.PHASE,
         sumo_colour=pictures.SUMO,
+        changed=[m for m in models if comparison["reference"] not in (None, m)],
         table=_table(MEASURES, comparison, models),
         phase_table=_table(PHASE_MEASURES, comparison, [m for m in models if is_phase(m)]),
         snapshots=[
@@ -104,25 +105,29 @@ def _table(table: Mapping[str, Measure], comparison: dict[str, Any], models: Seq
 
 
 def _cell(value: dict[str, Any] | None, measure: Measure) -> dict[str, Any]:
-    """Texts of a table cell; ``clear`` when the difference's interval does not hold zero."""
+    """Texts of a value and its difference; ``beyond`` when the difference's interval does not hold zero."""
+    mean, interval = _estimate(value, measure.digits)
+    difference = value["difference"] if value else None
+    change, change_interval = _estimate(difference, measure.digits, sign=True)
+    beyond = bool(difference) and (difference["low"] > 0 or difference["high"] < 0)
+    return {
+        "mean": mean,
+        "interval": interval,
+        "change": change,
+        "change_interval": change_interval,
+        "beyond": beyond,
+    }
+
+
+def _estimate(value: dict[str, Any] | None, digits: int, sign: bool = False) -> tuple[str, str]:
+    """Mean and interval, with a digit more in the interval of a whole number."""
     if value is None or not math.isfinite(value["mean"]):
-        return {"mean": "–", "interval": "", "difference": "", "clear": False}
-    difference = value["difference"]
-    text, clear = "", False
-    if difference and math.isfinite(difference["mean"]):
-        text = _number(difference["mean"], measure.digits, sign=True)
-        if math.isfinite(difference["low"]):
-            text += f" [{_range(difference, measure.digits, sign=True)}]"
-            clear = difference["low"] > 0 or difference["high"] < 0
-    interval = f"[{_range(value, measure.digits)}]" if math.isfinite(value["low"]) else ""
-    mean = _number(value["mean"], measure.digits)
-    return {"mean": mean, "interval": interval, "difference": text, "clear": clear}
-
-
-def _range(value: dict[str, Any], digits: int, sign: bool = False) -> str:
-    """An interval, with a digit more where the mean is counted in whole numbers."""
-    digits = max(digits, 1)
-    return f"{_number(value['low'], digits, sign)}, {_number(value['high'], digits, sign)}"
+        return "–", ""
+    mean = _number(value["mean"], digits, sign)
+    if not math.isfinite(value["low"]):
+        return mean, ""
+    low, high = (_number(value[end], max(digits, 1), sign) for end in ("low", "high"))
+    return mean, f"[{low}, {high}]"
 
 
 def _number(value: float, digits: int, sign: bool = False) -> str:

@@ -129,8 +129,7 @@ def make_parser() -> argparse.ArgumentParser:
                 "--models",
                 nargs="+",
                 default=["phase", "idm"],
-                help="phase, phase:0.3 (30 %% PHASE, the first SUMO model named drives the rest), idm, krauss, "
-                "eidm ...",
+                help="phase, phase:0.3 (30 %% PHASE among the first SUMO model named), idm, krauss, eidm ...",
             )
             sub.add_argument("--seeds", type=int, default=1, help="how many seeds, counted from 1")
             sub.add_argument(

@@ -42,7 +42,7 @@ class _Passages:
         return (line - before) / np.maximum(after - before, 1e-9)
 
     def rear_leaves(self, rows: IntArray, metres: FloatArray) -> FloatArray:
-        """Time at which each vehicle has driven its length from ``metres`` before its sample; NaN if never."""
+        """Time at which each vehicle is its length past where it was ``metres`` ago; NaN if never."""
         t = self.t
         wanted = self._odometer[rows] - metres + t.length[t.vehicle[rows]] + self._leg[rows] * self._far
         at = np.minimum(np.searchsorted(self._key, wanted), len(self._key) - 1)

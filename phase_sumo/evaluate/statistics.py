@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 CONFIDENCE = 0.95
 
@@ -21,7 +22,7 @@ class Estimate:
     n: int
 
 
-def mean_interval(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
+def mean_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Estimate:
     """Student's interval of the mean of independent runs: mean ± t_{n-1} s / sqrt(n).
 
     Values that are not finite (a run without any such event) are left out; one value has no interval.
@@ -38,9 +39,7 @@ def mean_interval(values: Sequence[float], confidence: float = CONFIDENCE) -> Es
     return Estimate(mean, mean - half, mean + half, n)
 
 
-def paired_difference(
-    values: Sequence[float], reference: Sequence[float], confidence: float = CONFIDENCE
-) -> Estimate:
+def paired_difference(values: ArrayLike, reference: ArrayLike, confidence: float = CONFIDENCE) -> Estimate:
     """`mean_interval` of value - reference, pair by pair: runs of one seed share demand and driver draws."""
     return mean_interval(np.asarray(values, np.float64) - np.asarray(reference, np.float64), confidence)
 
