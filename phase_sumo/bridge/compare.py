@@ -97,7 +97,7 @@ def compare(
         jobs or len(os.sched_getaffinity(0)),
         progress,
     )
-    places = choose_places(folders[: len(chosen)][::-1] + folders, network)
+    places = choose_places(folders[: len(chosen)][::-1], network)  # of the first seed
     runs = {
         (model.name, seed): analyse(folder, model, seed, places)
         for (model, seed), folder in zip(pairs, folders, strict=True)
