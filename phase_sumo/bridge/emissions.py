@@ -38,7 +38,7 @@ def _table(name: str) -> EmissionTable | None:
         path = Path(folder) / "map.csv"
         subprocess.run([*args, "--output", str(path)], capture_output=True, check=False)
         lines = path.read_text().splitlines() if path.is_file() else []
-    speed, accel = (np.arange(round((b - a) / step) + 1) * step + a for a, b, step in (SPEED, ACCEL))
+    speed, accel = (a + step * np.arange(0.0, round((b - a) / step) + 1) for a, b, step in (SPEED, ACCEL))
     rates: dict[str, list[float]] = {"fuel": [], "CO2": []}
     for line in lines:
         *_, kind, value = line.split(";")

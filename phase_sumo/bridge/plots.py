@@ -81,7 +81,9 @@ def fundamental_diagram(runs: Runs) -> str:
         )
         some = np.random.default_rng(0).permutation(len(density))[:MOST_CELLS]
         for axes, value in ((left, flow), (right, 3.6 * speed)):
-            axes.plot(density[some], value[some], ".", ms=3, color=colour, alpha=0.25, mew=0, rasterized=True)
+            axes.plot(
+                density[some], value[some], ".", ms=4.5, color=colour, alpha=0.4, mew=0, rasterized=True
+            )
             axes.plot(*_medians(density, value), color=colour, ls=dash, lw=2.2, label=label(model))
     for axes, name in ((left, "flow in veh/h per lane"), (right, "speed in km/h")):
         _style(axes)
