@@ -5,54 +5,29 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from phase_sumo.bridge.analysis import PHASE_MEASURES, analyse, choose_places, load, pair_travel_times
 from phase_sumo.bridge.choice import Choice
-from phase_sumo.bridge.demand import sumo_model
 from phase_sumo.bridge.drivers import Driver
+from phase_sumo.bridge.models import parse_models
 from phase_sumo.bridge.network import read_network
 from phase_sumo.bridge.options import read_scenario
 from phase_sumo.bridge.processes import run_all
 from phase_sumo.bridge.report import write_report
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.traffic import cross_section, measures
-from phase_sumo.evaluate.trajectories import Trajectories
+from phase_sumo.evaluate.measures import MEASURES
+from phase_sumo.evaluate.statistics import CONFIDENCE
+from phase_sumo.evaluate.summary import summarise
 from phase_sumo.policy.checkpoint import load_policy
 
-# measures in the order of the table: name -> (label, unit, digits)
-TABLE = {
-    "vehicles": ("Vehicles inserted", "", 0),
-    "arrived_all": ("Vehicles arrived", "", 0),
-    "removed": ("Vehicles taken out, see trips.csv", "", 0),
-    "running": ("Vehicles still driving at the end", "", 0),
-    "travel_time": ("Travel time¹", "s", 1),
-    "mean_speed": ("Mean speed", "m/s", 2),
-    "flow": ("Flow at the cross-section", "veh/h", 0),
-    "collisions": ("Collisions (boxes touch)", "", 0),
-    "collisions_per_1000km": ("Collisions", "/1000 veh-km", 1),
-    "lane_changes_per_km": ("Lane changes", "/veh-km", 3),
-    "hard_brakings_per_km": ("Hard braking, below −3 m/s²", "/veh-km", 3),
-    "conflicts_per_km": ("Conflicts, TTC < 3 s", "/veh-km", 3),
-    "serious_conflicts_per_km": ("Serious conflicts, TTC < 1.5 s", "/veh-km", 3),
-    "median_time_headway": ("Median time headway", "s", 2),
-    "mean_depart_delay": ("Insertion delay", "s", 2),
-    "vehicle_km": ("Distance driven on the observed road", "veh-km", 1),
-}
-PHASE_TABLE = {
-    "phase_vehicles": ("PHASE vehicles", "", 0),
-    "phase_arrived_under_policy": ("… that the policy drove to their arrival", "", 0),
-    "share_of_time_under_policy": ("Share of their time under the policy", "", 3),
-    "phase_vehicle_km": ("Distance under the policy", "veh-km", 1),
-    "phase_collisions": ("Collisions with a PHASE vehicle", "", 0),
-    "phase_at_fault_collisions": ("… of them its fault", "", 0),
-    "off_road": ("Contacts with the road edge", "", 0),
-    "real_time_factor": ("Real-time factor", "×", 1),
-    "policy_cpu_us_per_vehicle_step": ("Policy, CPU per vehicle and step", "µs", 0),
-}
+OUTPUTS = ("comparison.json", "comparison.csv", "summary.csv", "report.html")
+ALL_MEASURES = MEASURES | PHASE_MEASURES
 
 
 def compare(
@@ -70,92 +45,104 @@ def compare(
     roads: Literal["freeway", "all"] = "freeway",
     end: float | None = None,
     sumo_options: Sequence[str] = (),
-    jobs: int = 1,
+    jobs: int | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> dict[str, Any]:
     """Run every model with every seed and write the comparison.
 
-    Vehicles that SUMO drives in the PHASE run (share below 1, city roads) use the first SUMO model named, so
-    that the runs differ in the PHASE vehicles only.
-
     Args:
         cfg: a ``.sumocfg``.
-        models: ``"phase"`` and SUMO car-following models (``"idm"``, ``"krauss"``, ``"eidm"`` ...).
-        out_dir: folder for ``comparison.json``, ``comparison.csv``, ``report.html`` and one folder per run.
+        models: ``"phase"``, ``"phase:0.3"`` (30 % PHASE) and SUMO car-following models (``"idm"``,
+            ``"krauss"``, ``"eidm"`` ...), see `parse_models`. Differences are to the first SUMO model.
+        out_dir: folder for ``comparison.json``, ``comparison.csv`` (one row per run), ``summary.csv`` (one
+            per model and measure), ``report.html`` and one folder per run.
         seeds: how many (1, 2, ...) or which.
-        jobs: simulations at a time.
+        share: under PHASE where a model is plain ``"phase"``.
+        jobs: simulations at a time; None for as many as there are cores.
         progress: called with the fraction done and a line of text.
-        policy, share, types, alpha, explicit, deterministic, roads, end, sumo_options: see `run_scenario`.
+        policy, types, alpha, explicit, deterministic, roads, end, sumo_options: see `run_scenario`.
 
     Returns:
-        scenario, models, seeds, section, ``runs`` (one dict per model and seed), ``summary`` (mean and std
-        per model) and ``report``, the path of the HTML file.
+        scenario, models, seeds, reference, section, ``runs`` (one dict per model and seed), ``summary`` (per
+        model and measure, see `summarise`), ``collisions`` and ``report``, the path of the HTML file.
     """
-    models = list(dict.fromkeys(m.lower() for m in models))
-    if not models:
-        raise PhaseError("no models to compare; name some of phase, idm, krauss, eidm")
-    for model in models:
-        if model != "phase":
-            sumo_model(model)
-    numbers = list(range(1, seeds + 1)) if isinstance(seeds, int) else list(seeds)
+    chosen = parse_models(models, share)
+    numbers = list(range(1, seeds + 1)) if isinstance(seeds, int) else list(dict.fromkeys(seeds))
     if not numbers:
         raise PhaseError("no seeds to run; pass at least 1")
+    if jobs is not None and jobs < 1:
+        raise PhaseError(f"jobs {jobs} is less than 1; leave it out for one per core")
     out = Path(out_dir)
     scenario = read_scenario(cfg, tuple(sumo_options))
     network = read_network(scenario.net, roads)
-    for stale in ("comparison.json", "comparison.csv", "report.html"):
+    for stale in OUTPUTS:
         (out / stale).unlink(missing_ok=True)
-    background = next((m for m in models if m != "phase"), None)
-    pairs = [(model, seed) for seed in numbers for model in models]
-    tasks: list[dict[str, Any]] = [
-        {
-            "cfg": str(cfg),
-            "policy": policy,
-            "phase": model == "phase",
-            "share": share,
-            "explicit": tuple(explicit),
-            "deterministic": deterministic,
-            "types": tuple(types or ()),
-            "alpha": alpha,
-            "seed": seed,
-            "model": background if model == "phase" else model,
-            "roads": roads,
-            "end": end,
-            "sumo_options": tuple(sumo_options),
-            "output_dir": str(out / f"{model}-seed{seed}"),
-            "label": f"{model}, seed {seed}:",
-        }
-        for model, seed in pairs
-    ]
-    results = run_all(tasks, jobs, progress)
-    runs = dict(zip(pairs, (Path(t["output_dir"]) for t in tasks), strict=True))
-    trajectories = {pair: Trajectories.load(folder / "trajectories.npz") for pair, folder in runs.items()}
-    if not any(len(t.time) for t in trajectories.values()):
-        raise PhaseError(
-            f"{cfg}: no vehicle drove on the observed roads; check the demand, or pass roads='all'"
-        )
-    section = cross_section(trajectories[pairs[-1]])
-    rows = _rows(pairs, results, trajectories, section, _paired_travel_times(pairs, runs))
+    pairs = [(model, seed) for seed in numbers for model in chosen]
+    folders = [out / f"{model.folder}-seed{seed}" for model, seed in pairs]
+    run_all(
+        [
+            {
+                "cfg": str(cfg),
+                "policy": policy,
+                "phase": model.phase,
+                "share": model.share,
+                "explicit": tuple(explicit),
+                "deterministic": deterministic,
+                "types": tuple(types or ()),
+                "alpha": alpha,
+                "seed": seed,
+                "model": model.sumo,
+                "roads": roads,
+                "end": end,
+                "sumo_options": tuple(sumo_options),
+                "output_dir": str(folder),
+                "label": f"{model.name}, seed {seed}:",
+            }
+            for (model, seed), folder in zip(pairs, folders, strict=True)
+        ],
+        jobs or len(os.sched_getaffinity(0)),
+        progress,
+    )
+    places = choose_places(folders[: len(chosen)][::-1])  # of the first seed
+    runs = {
+        (model.name, seed): analyse(folder, model, seed, places)
+        for (model, seed), folder in zip(pairs, folders, strict=True)
+    }
+    pair_travel_times(runs)
+    by_model = {model.name: [runs[model.name, seed] for seed in numbers] for model in chosen}
+    rows = {name: [run.row for run in of_model] for name, of_model in by_model.items()}
+    reference = chosen[0].sumo
     comparison = {
         "scenario": str(cfg),
         "network": str(scenario.net),
         "roads": roads,
-        "models": models,
+        "models": [model.name for model in chosen],
         "seeds": numbers,
         "share": Choice(share, explicit=tuple(explicit)).probability,
         "types": list(types or ()),
         "alpha": list(alpha) if isinstance(alpha, tuple) else alpha,
         "policy": _policy_name(policy),
-        "policy_info": _policy_info(policy) if "phase" in models else {},
-        "background": background,
+        "policy_info": _policy_info(policy) if any(model.phase for model in chosen) else {},
+        "background": reference,
+        "reference": reference,
+        "confidence": CONFIDENCE,
         "sumo_options": list(sumo_options),
-        "section": {"edge": section[0], "position": section[1]},
-        "runs": rows,
-        "summary": {model: _summary([r for r in rows if r["model"] == model]) for model in models},
+        "section": {"edge": places.section[0], "position": places.section[1]},
+        "runs": [run.row for run in runs.values()],
+        "summary": {
+            name: summarise(
+                of_model, rows[reference] if reference and name != reference else None, ALL_MEASURES
+            )
+            for name, of_model in rows.items()
+        },
+        "collisions": [
+            {"model": name, "seed": seed, **c} for (name, seed), run in runs.items() for c in run.collisions
+        ],
     }
-    by_model = {m: [trajectories[m, s] for s in numbers] for m in models}
-    write_report(out / "report.html", comparison, by_model, network)
-    _write_csv(out / "comparison.csv", rows)
+    first = {model.name: load(folder) for model, folder in zip(chosen, folders, strict=False)}
+    write_report(out / "report.html", comparison, by_model, first, network, places.corridor)
+    _write_runs(out / "comparison.csv", comparison["runs"])
+    _write_summary(out / "summary.csv", comparison["summary"])
     comparison["report"] = str(out / "report.html")
     text = json.dumps(_without_nan(comparison), indent=1)
     (out / "comparison.json.part").write_text(text + "\n")
@@ -181,68 +168,33 @@ def _policy_info(policy: Driver | str | Path | None) -> dict[str, str]:
     }
 
 
-def _rows(pairs, results, trajectories, section, travel) -> list[dict[str, Any]]:
-    rows = []
-    for pair, result in zip(pairs, results, strict=True):
-        t = trajectories[pair]
-        begin = float(t.time[0]) if len(t.time) else 0.0
-        last = float(t.time[-1]) if len(t.time) else 1.0
-        row = {"model": pair[0], "seed": pair[1], **measures(t, section, begin, max(last, begin + 1.0))}
-        kept = {
-            k: v
-            for k, v in result.items()
-            if not isinstance(v, dict) and k not in ("scenario", "seed", "share")
-        }
-        row |= kept
-        accounts = result["accounts"]
-        row["arrived_all"], row["running"] = accounts["arrived"], accounts["running"]
-        row["removed"] = sum(count for reason, count in accounts.items() if reason.startswith("removed"))
-        row["travel_time"] = travel[pair]
-        row["collisions_per_1000km"] = (
-            1000.0 * result["collisions"] / row["vehicle_km"] if row["vehicle_km"] else 0.0
-        )
-        row["accounts"] = accounts
-        rows.append(row)
-    return rows
-
-
-def _paired_travel_times(pairs, runs: dict[tuple[str, int], Path]) -> dict[tuple[str, int], float]:
-    """Mean travel time in s over the vehicles that arrived under every model with that seed.
-
-    Without the pairing a model that lets slow vehicles starve would look fast.
-    """
-    times = {pair: _travel_times(folder / "trips.csv") for pair, folder in runs.items()}
-    result = {}
-    for model, seed in pairs:
-        common = set.intersection(*(set(v) for (_, s), v in times.items() if s == seed))
-        values = [times[model, seed][v] for v in common]
-        result[model, seed] = sum(values) / len(values) if values else math.nan
-    return result
-
-
-def _travel_times(path: Path) -> dict[str, float]:
-    with path.open(newline="") as file:
-        trips = list(csv.DictReader(file))
-    return {t["vehicle"]: float(t["arrive"]) - float(t["depart"]) for t in trips if t["arrive"] != "nan"}
-
-
-def _summary(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
-    """Mean and standard deviation over the seeds of every number."""
-    summary = {}
-    for name in {**TABLE, **PHASE_TABLE}:
-        values = np.array([float(r[name]) for r in rows if r.get(name) is not None])
-        values = values[np.isfinite(values)]
-        mean = float(values.mean()) if len(values) else math.nan
-        summary[name] = {"mean": mean, "std": float(values.std(ddof=1)) if len(values) > 1 else 0.0}
-    return summary
-
-
-def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    names = ["model", "seed", *TABLE, *PHASE_TABLE]
+def _write_runs(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    counts = [name for m in MEASURES.values() if m.count for name in (m.count, m.exposure)]
+    names = ["model", "seed", *dict.fromkeys([*ALL_MEASURES, *counts])]
     with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, names, extrasaction="ignore")
+        writer = csv.DictWriter(file, names, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows({name: _cell(row.get(name)) for name in names} for row in rows)
+
+
+def _write_summary(path: Path, summary: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> None:
+    """One line per model and measure; empty cells where there is no interval or no difference."""
+    names = ("mean", "low", "high", "n")
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        head = ("model", "measure", "unit", *names, "interval", *(f"difference_{n}" for n in names))
+        writer.writerow(head)
+        for model, measures in summary.items():
+            for name, value in measures.items():
+                difference = value["difference"] or {}
+                cells = [value[n] for n in names] + [value["interval"]] + [difference.get(n) for n in names]
+                writer.writerow([model, name, ALL_MEASURES[name].unit, *map(_cell, cells)])
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, float | np.floating):
+        return f"{value:.8g}" if math.isfinite(value) else ""
+    return "" if value is None else value
 
 
 def _without_nan(value: Any) -> Any:

@@ -63,12 +63,9 @@ def sumo_model(name: str) -> str:
     try:
         return MODELS[name.lower()]
     except KeyError:
-        raise PhaseError(f"model {name!r} is not known; choose from phase, {', '.join(MODELS)}") from None
-
-
-def label(model: str) -> str:
-    """A model's name for people: ``PHASE``, ``IDM``, ``Krauss``."""
-    return "PHASE" if model == "phase" else MODELS.get(model, model)
+        raise PhaseError(
+            f"model {name!r} is not known; choose from phase, phase:0.3 (30 % PHASE), {', '.join(MODELS)}"
+        ) from None
 
 
 def rewrite_files(

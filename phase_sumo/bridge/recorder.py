@@ -12,7 +12,7 @@ from phase_sumo.bridge.table import SHAPE, VehicleTable
 from phase_sumo.evaluate.trajectories import SAMPLES, Trajectories
 
 SHAPE_COLUMNS = SHAPE[:8]  # all but the truck indicator
-READ = ("LaneID", "LanePosition", "LateralLanePosition")
+READ = ("LaneID", "LanePosition", "LateralLanePosition", "AllowedSpeed")
 KINDS = {"controlled": bool, "vehicle": np.int64, "lane": np.int64}
 
 
@@ -27,6 +27,7 @@ class Recorder:
         self._frames: list[tuple[np.ndarray, ...]] = []
         self._vehicles: dict[str, int] = {}
         self._types: list[str] = []
+        self._emissions: list[str] = []
         self._shapes: list[np.ndarray] = []
         self._lanes: dict[str, int] = {}
 
@@ -39,8 +40,8 @@ class Recorder:
         rows = np.flatnonzero(table.active)
         if not len(rows):
             return
-        lane_of, position_of, lateral_of = self._getters
-        number, lane, position, lateral = [], [], [], []
+        lane_of, position_of, lateral_of, allowed_of = self._getters
+        number, lane, position, lateral, target = [], [], [], [], []
         for row in rows.tolist():
             name = table.ids[row]
             number.append(self._number(name, table, row, types))
@@ -48,6 +49,7 @@ class Recorder:
             lane.append(self._lanes.setdefault(lane_id, len(self._lanes)) if lane_id else -1)
             position.append(position_of(name))
             lateral.append(lateral_of(name))
+            target.append(float(table["goal_speed"][row]) if table.controlled[row] else allowed_of(name))
         self._frames.append(
             (
                 np.full(len(rows), time),
@@ -60,6 +62,8 @@ class Recorder:
                 np.array(position),
                 np.array(lateral),
                 table.controlled[rows].copy(),
+                np.array(target),
+                np.where(table.controlled[rows], table["alpha"][rows], np.nan),
             )
         )
 
@@ -68,6 +72,7 @@ class Recorder:
         if number is None:
             number = self._vehicles[name] = len(self._vehicles)
             self._types.append(types.get(name, ""))
+            self._emissions.append(self._api.vehicle.getEmissionClass(name))
             self._shapes.append(np.array([table[c][row] for c in SHAPE_COLUMNS], np.float64))
         return number
 
@@ -85,6 +90,7 @@ class Recorder:
             **samples,
             vehicle_ids=tuple(self._vehicles),
             vehicle_types=tuple(self._types),
+            emission_classes=tuple(self._emissions),
             shape=shape,
             length=front + np.maximum(shape[:, 3], shape[:, 4] - shape[:, 7]),
             lane_ids=ids,

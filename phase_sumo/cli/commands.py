@@ -172,6 +172,7 @@ def compare(args: argparse.Namespace) -> Any:
             alpha=alpha_bounds(args.alpha),
             end=args.end,
             sumo_options=args.sumo_options,
+            jobs=args.jobs,
             progress=progress,
         )
     print(f"report: {result['report']}")

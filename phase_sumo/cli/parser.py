@@ -163,9 +163,15 @@ def make_parser() -> argparse.ArgumentParser:
             )
         else:
             sub.add_argument(
-                "--models", nargs="+", default=["phase", "idm"], help="phase, idm, krauss, eidm ..."
+                "--models",
+                nargs="+",
+                default=["phase", "idm"],
+                help="phase, phase:0.3 (30 %% PHASE among the first SUMO model named), idm, krauss, eidm ...",
             )
             sub.add_argument("--seeds", type=int, default=1, help="how many seeds, counted from 1")
+            sub.add_argument(
+                "--jobs", type=int, metavar="N", help="simulations at a time; one per core if left out"
+            )
             sub.add_argument("--out", required=True, metavar="DIR", help="folder for the report")
 
     sub = add("bench", commands.bench, "throughput of simulator, training, bridge and converter")

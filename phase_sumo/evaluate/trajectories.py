@@ -30,7 +30,10 @@ class Trajectories:
         position: [S] front bumper along the lane in m.
         lateral: [S] offset of the front bumper from the lane centre in m, positive to the left.
         controlled: [S] bool, driven by the policy.
+        target_speed: [S] m/s that the vehicle would drive there on an empty road.
+        alpha: [S] action range of the conditioning context, NaN where the policy does not drive.
         vehicle_ids, vehicle_types: [V].
+        emission_classes: [V] SUMO's name, e.g. "HBEFA4/PC_petrol_Euro-4".
         shape: [V, 8] length, width, wheelbase, rear overhang, trailer length, width, base, setback in m.
         length: [V] bumper to bumper, trailer included, in m.
         lane_ids, lane_edges: [L]; an edge id that starts with ":" lies inside a junction.
@@ -51,8 +54,11 @@ class Trajectories:
     position: NDArray[np.float64]
     lateral: NDArray[np.float64]
     controlled: NDArray[np.bool_]
+    target_speed: NDArray[np.float64]
+    alpha: NDArray[np.float64]
     vehicle_ids: tuple[str, ...]
     vehicle_types: tuple[str, ...]
+    emission_classes: tuple[str, ...]
     shape: NDArray[np.float64]
     length: NDArray[np.float64]
     lane_ids: tuple[str, ...]
@@ -120,9 +126,13 @@ SAMPLES = [
     "position",
     "lateral",
     "controlled",
+    "target_speed",
+    "alpha",
 ]
 COMPACT = {
     "vehicle": np.int32,
     "lane": np.int32,
-    **dict.fromkeys(("yaw", "hitch", "speed", "accel", "position", "lateral"), np.float32),
+    **dict.fromkeys(
+        ("yaw", "hitch", "speed", "accel", "position", "lateral", "target_speed", "alpha"), np.float32
+    ),
 }

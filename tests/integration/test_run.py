@@ -8,12 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from phase_sumo.bridge.compare import compare
 from phase_sumo.bridge.processes import run_all
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.bridge.session import Session
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.trajectories import Trajectories
 from tests.standin import Standin
 
 NETWORK = Path(__file__).parents[2] / "networks" / "f04_onramp3.net.xml"
@@ -122,35 +120,6 @@ def test_processes_report_refusals(scenario, tmp_path):
         run_all([{"cfg": str(tmp_path / "nothere.sumocfg"), "phase": False}])
 
 
-def test_comparison_writes_one_self_contained_page(scenario, tmp_path):
-    texts = []
-    out = tmp_path / "cmp"
-    result = compare(
-        scenario(),
-        ("phase", "idm"),
-        policy=Standin(),
-        out_dir=out,
-        end=30,
-        jobs=2,
-        progress=lambda fraction, text: texts.append((fraction, text)),
-    )
-    page = (out / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == 6
-    assert "http" not in page.replace("http-equiv", "")
-    assert "PHASE against IDM" in page
-    assert result["summary"]["phase"]["phase_vehicles"]["mean"] > 10
-    assert result["summary"]["idm"]["phase_vehicles"]["mean"] == 0
-    stored = json.loads((out / "comparison.json").read_text())
-    assert stored["seeds"] == [1]
-    assert {r["model"] for r in stored["runs"]} == {"phase", "idm"}
-    assert len((out / "comparison.csv").read_text().splitlines()) == 3
-    phase, idm = (Trajectories.load(out / f"{m}-seed1" / "trajectories.npz") for m in ("phase", "idm"))
-    assert phase.controlled.any()
-    assert not idm.controlled.any()
-    assert set(phase.vehicle_ids) & set(idm.vehicle_ids)
-    assert texts[-1][0] == pytest.approx(1.0)
-
-
 def test_hitch_angles_reach_sumos_trajectory_output(scenario, tmp_path):
     fcd = tmp_path / "fcd.xml"
     options = ["--fcd-output", str(fcd), "--fcd-output.params", "phase.hitch"]
@@ -161,8 +130,3 @@ def test_hitch_angles_reach_sumos_trajectory_output(scenario, tmp_path):
 def test_unknown_types_are_told(scenario):
     result = run_scenario(scenario(), policy=Standin(), seed=1, types=["nosuch"], end=5)
     assert any("nosuch" in text for text in result["warnings"])
-
-
-def test_unknown_models_are_named(scenario, tmp_path):
-    with pytest.raises(PhaseError, match="nosuch"):
-        compare(scenario(), ("phase", "nosuch"), out_dir=tmp_path)

@@ -1,0 +1,97 @@
+"""Confidence intervals over seeds and for counts, without a statistics package."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean over ``n`` runs with its confidence interval; low and high are NaN where there is none."""
+
+    mean: float
+    low: float
+    high: float
+    n: int
+
+
+def mean_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Estimate:
+    """Student's interval of the mean of independent runs: mean ± t_{n-1} s / sqrt(n).
+
+    Values that are not finite (a run without any such event) are left out; one value has no interval.
+    """
+    kept = np.asarray(values, np.float64)
+    kept = kept[np.isfinite(kept)]
+    n = len(kept)
+    if n == 0:
+        return Estimate(math.nan, math.nan, math.nan, 0)
+    mean = float(kept.mean())
+    if n == 1:
+        return Estimate(mean, math.nan, math.nan, 1)
+    half = t_quantile(0.5 + 0.5 * confidence, n - 1) * float(kept.std(ddof=1)) / math.sqrt(n)
+    return Estimate(mean, mean - half, mean + half, n)
+
+
+def paired_difference(values: ArrayLike, reference: ArrayLike, confidence: float = CONFIDENCE) -> Estimate:
+    """`mean_interval` of value - reference, pair by pair: runs of one seed share demand and driver draws."""
+    return mean_interval(np.asarray(values, np.float64) - np.asarray(reference, np.float64), confidence)
+
+
+def t_quantile(p: float, freedom: int) -> float:
+    """x with P(T <= x) = p for Student's t with an integer number of degrees of freedom, p > 0.5."""
+    high = 2.0
+    while 0.5 + 0.5 * _t_within(high, freedom) < p:
+        high *= 2.0
+    return _root(lambda x: 0.5 + 0.5 * _t_within(x, freedom) - p, 0.0, high)
+
+
+def _t_within(x: float, freedom: int) -> float:
+    """P(\\|T\\| <= x), the finite series of Abramowitz & Stegun 26.7.3 and 26.7.4."""
+    angle = math.atan(x / math.sqrt(freedom))
+    sin, cos = math.sin(angle), math.cos(angle)
+    odd = freedom % 2
+    term, total = (cos, cos) if odd else (1.0, 1.0)
+    if freedom == 1:
+        total = 0.0
+    for k in range(2 + odd, freedom - 1, 2):
+        term *= cos * cos * (k - 1) / k
+        total += term
+    return 2.0 / math.pi * (angle + sin * total) if odd else sin * total
+
+
+def poisson_interval(count: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Exact (Garwood 1936) interval of the mean of a Poisson count.
+
+    P(N >= count; low) = P(N <= count; high) = (1 - confidence) / 2, low = 0 for no event. It takes the
+    events as independent; collisions that cause each other make the true interval wider.
+    """
+    tail = 0.5 * (1.0 - confidence)
+    top = count + 10.0 * math.sqrt(count + 1.0) + 10.0
+    low = 0.0 if count == 0 else _root(lambda m: 1.0 - _poisson_below(count - 1, m) - tail, 0.0, top)
+    return low, _root(lambda m: tail - _poisson_below(count, m), 0.0, top)
+
+
+def _poisson_below(count: int, mean: float) -> float:
+    """P(N <= count) of a Poisson variable."""
+    if mean <= 0.0:
+        return 1.0
+    k = np.arange(count + 1)
+    log_factorial = np.concatenate(([0.0], np.cumsum(np.log(np.arange(1, count + 1)))))
+    return float(np.exp(k * math.log(mean) - mean - log_factorial).sum())
+
+
+def _root(rising: Callable[[float], float], low: float, high: float) -> float:
+    """Bisection to float precision."""
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
+        low, high = (low, middle) if rising(middle) > 0.0 else (middle, high)
+    return 0.5 * (low + high)
