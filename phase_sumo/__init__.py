@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phase_sumo.bridge.live import PhaseFleet as PhaseFleet
-    from phase_sumo.bridge.options import SUMO_OPTIONS as SUMO_OPTIONS
+    from phase_sumo.bridge.sumo.options import SUMO_OPTIONS as SUMO_OPTIONS
     from phase_sumo.policy.checkpoint import load_policy as load_policy
 
 try:
@@ -20,7 +20,7 @@ __all__ = ["SUMO_OPTIONS", "PhaseFleet", "__version__", "load_policy"]
 
 _HOME = {
     "PhaseFleet": "phase_sumo.bridge.live",
-    "SUMO_OPTIONS": "phase_sumo.bridge.options",
+    "SUMO_OPTIONS": "phase_sumo.bridge.sumo.options",
     "load_policy": "phase_sumo.policy.checkpoint",
 }
 

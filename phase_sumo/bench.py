@@ -100,7 +100,7 @@ def bench_sim(
 
 def _roomy(maps: list[MapBundle], slots: int) -> list[MapBundle]:
     """The maps with room for ``slots`` jammed vehicles, or a freeway made for them."""
-    from phase_sumo.bridge.convert import build_bundle
+    from phase_sumo.bridge.maps.convert import build_bundle
 
     fitting = [m for m in maps if len(m.graph.node_lane) >= ROOM * slots]  # a node every metre
     return fitting or [build_bundle(freeway(ROOM * slots / 1000.0))]
@@ -182,7 +182,7 @@ def bench_convert(networks: list[Path], progress: Progress) -> dict[str, Any]:
         CPU seconds per part over all ``networks``, km of lane per CPU second overall and for lane graph and
         pools alone, and the same for synthetic freeways of growing length.
     """
-    from phase_sumo.bridge.network import read_network
+    from phase_sumo.bridge.maps.network import read_network
 
     jobs = [(path.name, lambda path=path: read_network(path)) for path in networks]
     jobs += [(f"{km:g} km of lane", lambda km=km: freeway(km)) for km in FREEWAYS]
@@ -211,7 +211,7 @@ def bench_convert(networks: list[Path], progress: Progress) -> dict[str, Any]:
 
 def _conversion(read: Callable[[], LaneNetwork]) -> dict[str, float]:
     """CPU seconds of each part of converting one network, and its ``lane_km``."""
-    from phase_sumo.bridge.road_lines import road_lines
+    from phase_sumo.bridge.maps.road_lines import road_lines
     from phase_sumo.sim.bundle import save_bundle
     from phase_sumo.sim.lane_graph import build_lane_graph
     from phase_sumo.sim.pool import build_pool
@@ -257,9 +257,9 @@ def bench_bridge(cfg: Path, steps: int | None, seed: int, progress: Progress) ->
         steps: of SUMO after the warm-up, 2 at least, nothing is decided after the last one; None runs the
             scenario to its end.
     """
-    from phase_sumo.bridge.options import read_scenario
     from phase_sumo.bridge.run import run_scenario
     from phase_sumo.bridge.stopwatch import Stopwatch
+    from phase_sumo.bridge.sumo.options import read_scenario
 
     watches: dict[str, Stopwatch] = {}
     scenario = read_scenario(cfg)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from phase_sumo.bridge.convert import build_bundle
+from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 

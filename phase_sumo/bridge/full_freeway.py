@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from phase_sumo.bridge.import_map import netconvert
+from phase_sumo.bridge.maps.import_map import netconvert
 from phase_sumo.sim.synthetic_road import HALF_MEDIAN, LANES, SECTION, WIDTH, axis
 
 HEADWAY, JITTER = 45.0, 6.0  # m between fronts in a lane, and how far each may be off its even place

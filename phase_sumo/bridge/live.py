@@ -10,17 +10,17 @@ from typing import Any, Literal
 
 from traci.step import StepListener
 
-from phase_sumo.bridge.choice import Choice
-from phase_sumo.bridge.contacts import ContactMonitor
-from phase_sumo.bridge.context import Parameters
-from phase_sumo.bridge.drivers import Driver, Drivers
-from phase_sumo.bridge.event_log import Event
-from phase_sumo.bridge.fleet import Fleet
-from phase_sumo.bridge.network import read_network
-from phase_sumo.bridge.options import check_options
-from phase_sumo.bridge.scene import Scene
-from phase_sumo.bridge.session import Simulation
-from phase_sumo.bridge.trailers import Trailers
+from phase_sumo.bridge.fleet.choice import Choice
+from phase_sumo.bridge.fleet.contacts import ContactMonitor
+from phase_sumo.bridge.fleet.context import Parameters
+from phase_sumo.bridge.fleet.drivers import Driver, Drivers
+from phase_sumo.bridge.fleet.event_log import Event
+from phase_sumo.bridge.fleet.fleet import Fleet
+from phase_sumo.bridge.fleet.scene import Scene
+from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.outputs.trailers import Trailers
+from phase_sumo.bridge.sumo.options import check_options
+from phase_sumo.bridge.sumo.session import Simulation
 from phase_sumo.errors import PhaseError
 from phase_sumo.policy.checkpoint import load_policy
 

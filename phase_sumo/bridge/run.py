@@ -12,18 +12,19 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from phase_sumo.bridge.demand import sumo_model
-from phase_sumo.bridge.drivers import Driver
-from phase_sumo.bridge.event_log import write_events
+from phase_sumo.bridge.fleet.drivers import Driver
+from phase_sumo.bridge.fleet.event_log import write_events
+from phase_sumo.bridge.fleet.scene import Trip
 from phase_sumo.bridge.live import PhaseFleet
-from phase_sumo.bridge.options import command, read_scenario
-from phase_sumo.bridge.recorder import Recorder
-from phase_sumo.bridge.scene import Trip
-from phase_sumo.bridge.session import Session, Simulation
-from phase_sumo.bridge.sumo_outputs import OUTPUTS, SumoOutputs
+from phase_sumo.bridge.outputs.recorder import Recorder
+from phase_sumo.bridge.outputs.sumo_outputs import OUTPUTS, SumoOutputs
+from phase_sumo.bridge.sumo.demand import sumo_model
+from phase_sumo.bridge.sumo.options import command, read_scenario
+from phase_sumo.bridge.sumo.session import Session, Simulation
 from phase_sumo.policy.checkpoint import load_policy
 
 Progress = Callable[[float, str], None]
+OURS = ("result.json", "events.csv", "trips.csv", "trajectories.npz")  # what we write into an output folder
 RECORD_PERIOD = 0.2  # s between recorded frames, or SUMO's step where that is longer
 
 
@@ -87,6 +88,8 @@ def run_scenario(
     keep = nullcontext(str(output_dir)) if output_dir else tempfile.TemporaryDirectory(prefix="phase_sumo_")
     with keep as folder:
         work_dir = Path(folder)
+        for stale in OURS if output_dir else ():  # a run that breaks off must not look like the last one
+            (work_dir / stale).unlink(missing_ok=True)
         args = command(
             scenario,
             work_dir,

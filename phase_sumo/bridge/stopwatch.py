@@ -7,15 +7,15 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any
 
-from phase_sumo.bridge import controller
-from phase_sumo.bridge.contacts import ContactMonitor
-from phase_sumo.bridge.controller import Controller
-from phase_sumo.bridge.fleet import Fleet
-from phase_sumo.bridge.goals import GoalPlanner
-from phase_sumo.bridge.recorder import Recorder
-from phase_sumo.bridge.road import Road
-from phase_sumo.bridge.scene import Scene
-from phase_sumo.bridge.session import Simulation
+from phase_sumo.bridge.fleet import controller
+from phase_sumo.bridge.fleet.contacts import ContactMonitor
+from phase_sumo.bridge.fleet.controller import Controller
+from phase_sumo.bridge.fleet.fleet import Fleet
+from phase_sumo.bridge.fleet.goals import GoalPlanner
+from phase_sumo.bridge.fleet.road import Road
+from phase_sumo.bridge.fleet.scene import Scene
+from phase_sumo.bridge.outputs.recorder import Recorder
+from phase_sumo.bridge.sumo.session import Simulation
 from phase_sumo.policy.checkpoint import Policy
 
 # What each part does; time within another part's function counts for that one

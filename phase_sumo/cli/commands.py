@@ -15,7 +15,7 @@ from phase_sumo.errors import PhaseError
 
 
 def convert(args: argparse.Namespace) -> Any:
-    from phase_sumo.bridge import convert as converter
+    from phase_sumo.bridge.maps import convert as converter
 
     with progress_bar("convert") as progress:
         rows = converter.convert(
@@ -156,7 +156,7 @@ def run(args: argparse.Namespace) -> Any:
 
 
 def compare(args: argparse.Namespace) -> Any:
-    from phase_sumo.bridge import compare as comparison
+    from phase_sumo.bridge.comparison import compare as comparison
 
     with progress_bar("compare") as progress:
         result = comparison.compare(
@@ -180,7 +180,7 @@ def compare(args: argparse.Namespace) -> Any:
 
 
 def demo(args: argparse.Namespace) -> Any:
-    from phase_sumo.bridge import compare as comparison
+    from phase_sumo.bridge.comparison import compare as comparison
 
     if not DEMO.exists():
         raise PhaseError(f"{DEMO}: the demo scenario comes with a clone of the project; run it from one")

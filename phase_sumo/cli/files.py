@@ -45,14 +45,14 @@ def load_maps(paths: list[str], keep: Path | None) -> list[Any]:
         if path.suffix == ".npz":
             maps.append(load_bundle(path))
             continue
-        from phase_sumo.bridge.convert import read_stretches
+        from phase_sumo.bridge.maps.convert import read_stretches
 
         maps += [_converted(network, keep) for network in read_stretches(path)]
     return maps
 
 
 def _converted(network: Any, keep: Path | None) -> Any:
-    from phase_sumo.bridge.convert import build_bundle, load_or_build
+    from phase_sumo.bridge.maps.convert import build_bundle, load_or_build
     from phase_sumo.sim.bundle import load_key, save_bundle
 
     if keep is None:

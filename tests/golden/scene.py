@@ -12,7 +12,7 @@ from pathlib import Path
 
 import torch
 
-from phase_sumo.bridge.convert import build_bundle
+from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.config import RewardConfig, SimConfig
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.worlds import Worlds, look

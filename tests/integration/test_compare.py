@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from phase_sumo.bridge.compare import compare
-from phase_sumo.bridge.emissions import emission_tables
+from phase_sumo.bridge.comparison.compare import compare
+from phase_sumo.bridge.comparison.emissions import emission_tables
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.emissions import emitted

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from phase_sumo.bridge.convert import build_bundle
+from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.config import REGIMES, ActionConfig, RewardConfig, ScenarioConfig, SimConfig
 from phase_sumo.sim.environment import COMPILATION, Environment, tensors
 from phase_sumo.sim.synthetic_road import freeway

@@ -16,7 +16,7 @@ import sumolib
 import traci
 
 import phase_sumo
-from phase_sumo.bridge import drivers
+from phase_sumo.bridge.fleet import drivers
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.cli import main
 from phase_sumo.errors import PhaseError

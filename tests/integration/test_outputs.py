@@ -14,8 +14,8 @@ import sumolib
 import torch
 from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 
-from phase_sumo.bridge import fleet
-from phase_sumo.bridge.event_log import read_events, under_policy
+from phase_sumo.bridge.fleet import fleet
+from phase_sumo.bridge.fleet.event_log import read_events, under_policy
 from phase_sumo.bridge.run import run_scenario
 from tests.standin import Standin
 

@@ -10,7 +10,7 @@ import pytest
 
 from phase_sumo.bridge.processes import run_all
 from phase_sumo.bridge.run import run_scenario
-from phase_sumo.bridge.session import Session
+from phase_sumo.bridge.sumo.session import Session
 from phase_sumo.errors import PhaseError
 from tests.standin import Standin
 
@@ -130,3 +130,29 @@ def test_hitch_angles_reach_sumos_trajectory_output(scenario, tmp_path):
 def test_unknown_types_are_told(scenario):
     result = run_scenario(scenario(), policy=Standin(), seed=1, types=["nosuch"], end=5)
     assert any("nosuch" in text for text in result["warnings"])
+
+
+def test_a_run_that_breaks_off_leaves_no_older_result(scenario, tmp_path):
+    out = tmp_path / "out"
+    cfg = scenario()
+    run_scenario(cfg, policy=Standin(), end=5, output_dir=out)
+    assert (out / "result.json").is_file()
+    with pytest.raises(PhaseError, match="no such"):
+        run_scenario(cfg, policy=tmp_path / "gone.safetensors", output_dir=out)
+    assert (out / "result.json").is_file()  # refused before anything was run
+    with pytest.raises(ZeroDivisionError):
+        run_scenario(cfg, policy=Standin(), end=5, output_dir=out, progress=lambda *_: 1 / 0)
+    assert not any((out / name).exists() for name in ("result.json", "events.csv", "trajectories.npz"))
+
+
+def test_surrogate_safety_goes_to_the_output_folder(scenario, tmp_path):
+    options = ["--device.ssm.probability", "1"]
+    run_scenario(scenario(), policy=Standin(), end=15, output_dir=tmp_path / "out", sumo_options=options)
+    assert "<SSMLog" in (tmp_path / "out" / "ssm.xml").read_text()
+
+
+def test_dates_for_times_leave_sumos_files_alone(scenario, tmp_path):
+    options = ["--human-readable-time", "true", "--tripinfo-output", str(tmp_path / "t.xml")]
+    result = run_scenario(scenario(), policy=Standin(), end=30, sumo_options=options)
+    assert any("human-readable-time" in warning for warning in result["warnings"])
+    assert "<tripinfo " in (tmp_path / "t.xml").read_text()

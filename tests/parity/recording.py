@@ -11,16 +11,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phase_sumo.bridge.choice import Choice
-from phase_sumo.bridge.contacts import ContactMonitor
-from phase_sumo.bridge.conventions import ShapeRow
-from phase_sumo.bridge.drivers import Driver, Drivers
-from phase_sumo.bridge.event_log import Event
-from phase_sumo.bridge.fleet import Fleet
-from phase_sumo.bridge.options import command, read_scenario
-from phase_sumo.bridge.scene import Scene
-from phase_sumo.bridge.session import Session
-from phase_sumo.bridge.table import STATE, TASK, VehicleTable
+from phase_sumo.bridge.fleet.choice import Choice
+from phase_sumo.bridge.fleet.contacts import ContactMonitor
+from phase_sumo.bridge.fleet.drivers import Driver, Drivers
+from phase_sumo.bridge.fleet.event_log import Event
+from phase_sumo.bridge.fleet.fleet import Fleet
+from phase_sumo.bridge.fleet.scene import Scene
+from phase_sumo.bridge.fleet.table import STATE, TASK, VehicleTable
+from phase_sumo.bridge.sumo.conventions import ShapeRow
+from phase_sumo.bridge.sumo.options import command, read_scenario
+from phase_sumo.bridge.sumo.session import Session
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.observation import Observation
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import torch
 
-from phase_sumo.bridge.conventions import shapes
-from phase_sumo.bridge.convert import build_bundle
-from phase_sumo.bridge.table import STATE, TASK
+from phase_sumo.bridge.fleet.table import STATE, TASK
+from phase_sumo.bridge.maps.convert import build_bundle
+from phase_sumo.bridge.sumo.conventions import shapes
 from phase_sumo.config import REGIMES, ActionConfig, RewardConfig, ScenarioConfig, SimConfig
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.lanes import LaneNetwork

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from phase_sumo.bridge.choice import Choice
-from phase_sumo.bridge.conventions import yaw_from_angle
-from phase_sumo.bridge.network import read_network
-from phase_sumo.bridge.table import STATE
+from phase_sumo.bridge.fleet.choice import Choice
+from phase_sumo.bridge.fleet.table import STATE
+from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.sumo.conventions import yaw_from_angle
 from phase_sumo.sim.observation import Observation
 from tests.parity.recording import Recording, SumoStep, record
 from tests.parity.replay import Replay

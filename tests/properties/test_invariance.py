@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from phase_sumo.bridge.convert import build_bundle
+from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.config import RewardConfig, SimConfig
 from phase_sumo.sim.events import agent_contacts
 from phase_sumo.sim.lanes import LaneNetwork

@@ -10,7 +10,7 @@ import sys
 import pytest
 import torch
 
-from phase_sumo.bridge.convert import build_bundle
+from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.config import ActionConfig, RewardConfig, ScenarioConfig, SimConfig
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import Environment

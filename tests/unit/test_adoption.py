@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from phase_sumo.bridge.adoption import Adoption
-from phase_sumo.bridge.choice import Choice
+from phase_sumo.bridge.fleet.adoption import Adoption
+from phase_sumo.bridge.fleet.choice import Choice
 
 
 def test_a_vehicle_that_waits_for_its_road_is_chosen_once():

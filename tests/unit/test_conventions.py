@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.conventions import (
+from phase_sumo.bridge.sumo.conventions import (
     angle_from_yaw,
     front_from_reference,
     reference_from_front,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from phase_sumo.bridge.convert import convert
+from phase_sumo.bridge.maps.convert import convert
 from phase_sumo.cli import main
 from phase_sumo.config import REGIMES
 from phase_sumo.errors import PhaseError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from phase_sumo.bridge.event_log import Event, read_events, write_events
+from phase_sumo.bridge.fleet.event_log import Event, read_events, write_events
 
 
 def test_events_come_back_from_their_file(tmp_path):

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from phase_sumo.bridge.contacts import ContactMonitor
-from phase_sumo.bridge.conventions import shape_from_type
-from phase_sumo.bridge.event_log import EventLog
-from phase_sumo.bridge.pose import nearest_on_line
-from phase_sumo.bridge.table import VehicleTable
+from phase_sumo.bridge.fleet.contacts import ContactMonitor
+from phase_sumo.bridge.fleet.event_log import EventLog
+from phase_sumo.bridge.fleet.pose import nearest_on_line
+from phase_sumo.bridge.fleet.table import VehicleTable
+from phase_sumo.bridge.sumo.conventions import shape_from_type
 from phase_sumo.config import SimConfig
 from phase_sumo.sim import kinematics
 

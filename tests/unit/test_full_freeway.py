@@ -6,8 +6,8 @@ import pytest
 
 from phase_sumo.bench import bench_full_freeway
 from phase_sumo.bridge.full_freeway import write_full_freeway
-from phase_sumo.bridge.session import Session
 from phase_sumo.bridge.stopwatch import PARTS
+from phase_sumo.bridge.sumo.session import Session
 from phase_sumo.errors import PhaseError
 
 

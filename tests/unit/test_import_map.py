@@ -7,9 +7,9 @@ import subprocess
 
 import pytest
 
-from phase_sumo.bridge import import_map
-from phase_sumo.bridge.convert import convert
-from phase_sumo.bridge.import_map import read_map
+from phase_sumo.bridge.maps import import_map
+from phase_sumo.bridge.maps.convert import convert
+from phase_sumo.bridge.maps.import_map import read_map
 from phase_sumo.errors import PhaseError
 from tests.small_nets import SmallNet, lanes_from
 

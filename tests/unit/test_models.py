@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from phase_sumo.bridge.models import Model, label, parse_models
+from phase_sumo.bridge.comparison.models import Model, label, parse_models
 from phase_sumo.errors import PhaseError
 
 

@@ -21,10 +21,10 @@ from shapely.geometry import LineString, MultiLineString
 from networks.features import features
 from networks.generate import SPECS, generate
 from networks.traffic import run_sumo
-from phase_sumo.bridge.convert import build_bundle
-from phase_sumo.bridge.net_xml import parse_net
-from phase_sumo.bridge.network import read_network
-from phase_sumo.bridge.road_lines import road_edges
+from phase_sumo.bridge.maps.convert import build_bundle
+from phase_sumo.bridge.maps.net_xml import parse_net
+from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.road_lines import road_edges
 from phase_sumo.config import REGIMES
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.lanes import LaneNetwork

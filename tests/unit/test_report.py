@@ -8,11 +8,11 @@ import re
 import numpy as np
 import pytest
 
-from phase_sumo.bridge import pictures, plots
-from phase_sumo.bridge.analysis import PHASE_MEASURES, Analysis
-from phase_sumo.bridge.models import is_phase
-from phase_sumo.bridge.plots import colours
-from phase_sumo.bridge.report import write_report
+from phase_sumo.bridge.comparison import pictures, plots
+from phase_sumo.bridge.comparison.analysis import PHASE_MEASURES, Analysis
+from phase_sumo.bridge.comparison.models import is_phase
+from phase_sumo.bridge.comparison.plots import colours
+from phase_sumo.bridge.comparison.report import write_report
 from phase_sumo.evaluate.corridor import find_corridor, speed_profile
 from phase_sumo.evaluate.curves import curves
 from phase_sumo.evaluate.edie import edie_cells

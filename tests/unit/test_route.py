@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.goals import GOAL_BOUNDS, GoalPlanner
-from phase_sumo.bridge.road import Road
-from phase_sumo.bridge.route import ahead, follow_lanes, kept_stretch, remaining, route_lanes
-from phase_sumo.bridge.table import VehicleTable
+from phase_sumo.bridge.fleet.goals import GOAL_BOUNDS, GoalPlanner
+from phase_sumo.bridge.fleet.road import Road
+from phase_sumo.bridge.fleet.route import ahead, follow_lanes, kept_stretch, remaining, route_lanes
+from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 
 W = 3.6
@@ -105,7 +105,7 @@ def test_a_vehicle_that_faces_the_traffic_is_on_no_lane(road):
 
 
 def put(table, road, name, x, y, speed, goal_speed=None):
-    from phase_sumo.bridge.conventions import shape_from_type
+    from phase_sumo.bridge.sumo.conventions import shape_from_type
 
     row = table.add(name, shape_from_type("passenger", 5.0, 1.8))
     table["x"][row], table["y"][row], table["speed"][row] = x - 4.0, y, speed  # front bumper at x

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from phase_sumo.bridge.demand import Rewrite, rewrite_files, sumo_model
-from phase_sumo.bridge.options import command, parse_options, read_scenario
+from phase_sumo.bridge.sumo.demand import Rewrite, rewrite_files, sumo_model
+from phase_sumo.bridge.sumo.options import command, parse_options, read_scenario
 from phase_sumo.errors import PhaseError
 
 NETWORK = Path(__file__).parents[2] / "networks" / "f01_straight3.net.xml"

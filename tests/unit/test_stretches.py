@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.convert import convert
-from phase_sumo.bridge.lane_position import LanePositions
-from phase_sumo.bridge.lines import arc_length
-from phase_sumo.bridge.network import read_network
-from phase_sumo.bridge.road_lines import road_lines
-from phase_sumo.bridge.stretches import cut
+from phase_sumo.bridge.maps.convert import convert
+from phase_sumo.bridge.maps.lane_position import LanePositions
+from phase_sumo.bridge.maps.lines import arc_length
+from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.road_lines import road_lines
+from phase_sumo.bridge.maps.stretches import cut
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.bundle import load_bundle
 from phase_sumo.sim.lane_graph import build_lane_graph

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.conventions import shape_from_type
-from phase_sumo.bridge.session import Session
-from phase_sumo.bridge.table import VehicleTable
-from phase_sumo.bridge.trailers import Trailers, outlines_of
+from phase_sumo.bridge.fleet.table import VehicleTable
+from phase_sumo.bridge.outputs.trailers import Trailers, outlines_of
+from phase_sumo.bridge.sumo.conventions import shape_from_type
+from phase_sumo.bridge.sumo.session import Session
 
 NETWORK = Path(__file__).parents[2] / "networks" / "f01_straight3.net.xml"
 CAR, SEMI = shape_from_type("passenger", 5.0, 1.8), shape_from_type("trailer", 22.0, 2.6)

@@ -1,0 +1,1 @@
+"""Several driver models side by side: runs, measures, report."""

@@ -1,0 +1,131 @@
+"""Taking vehicles over from SUMO: which, when, and what SUMO is told about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Iterator
+
+import numpy as np
+
+from phase_sumo.bridge.fleet.choice import Choice
+from phase_sumo.bridge.fleet.context import Parameters
+from phase_sumo.bridge.fleet.drivers import Drivers
+from phase_sumo.bridge.fleet.member import Member
+from phase_sumo.bridge.fleet.road import Road
+from phase_sumo.bridge.fleet.route import RouteLanes, kept_stretch, remaining
+from phase_sumo.bridge.fleet.scene import Scene
+from phase_sumo.errors import PhaseError
+
+ADOPT_ROOM = 150.0  # m of observed road ahead below which a vehicle is left to SUMO
+SPEED_MODE, LANE_MODE = 96, 0  # SUMO checks nothing while we drive
+
+
+class Adoption:
+    """Looks at SUMO's vehicles on the observed road and takes over those that are chosen.
+
+    Attributes:
+        left_to_sumo: vehicles that were looked at or driven and stay with SUMO.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        road: Road,
+        choice: Choice,
+        drivers: Drivers,
+        lanes: Callable[[tuple[str, ...], bool], RouteLanes],
+    ) -> None:
+        """``lanes`` gives the route lanes of a stretch of edges, for a truck or not."""
+        self._scene, self._api, self._table = scene, scene.api, scene.table
+        self._road, self._lanes = road, lanes
+        self._choice, self._drivers = choice, drivers
+        self.left_to_sumo: set[str] = set()
+        self._waiting: set[str] = set()  # chosen, but not where they can be taken over
+        self._asked = 0
+
+    def take_over(self, node: np.ndarray, driven: Container[str]) -> Iterator[tuple[str, Member]]:
+        """Vehicles that are the policy's from now on.
+
+        Args:
+            node: [N] node of each row's front bumper, -1 off the road.
+            driven: ids of those that it drives already.
+        """
+        for vehicle, lane in list(self._scene.lane_of.items()):
+            if vehicle in self.left_to_sumo or vehicle in driven or lane.startswith(":"):
+                continue
+            facts = self._scene.facts[vehicle]
+            if vehicle not in self._waiting:
+                if facts.kind is None or not self._wanted(vehicle, facts.type):
+                    self.left_to_sumo.add(vehicle)
+                    continue
+                self._waiting.add(vehicle)
+            row = self._table.row_of[vehicle]
+            found = self._stretch(vehicle, int(node[row]), bool(facts.shape.truck))
+            if found:
+                self._waiting.remove(vehicle)
+                yield vehicle, self._take(vehicle, row, *found)
+
+    def forget_absent(self) -> None:
+        """Keep nothing of vehicles that left the simulation."""
+        self.left_to_sumo.intersection_update(self._scene.facts)
+        self._waiting.intersection_update(self._scene.facts)
+
+    def _stretch(
+        self, vehicle: str, node: int, truck: bool
+    ) -> tuple[RouteLanes, tuple[str, ...], bool] | None:
+        """Lanes and edges of the route's next stretch on the observed road, and whether it leads off it."""
+        if node < 0:
+            return None
+        route = tuple(self._api.vehicle.getRoute(vehicle))
+        at = self._api.vehicle.getRouteIndex(vehicle)
+        edges = kept_stretch(self._road, route, at)
+        if not edges or self._stops_on(vehicle, edges) or len(set(route)) < len(route):
+            return None  # on a route that uses an edge twice, SUMO finds moved vehicles on the first lap
+        lanes = self._lanes(edges, truck)
+        leads_off = at + len(edges) < len(route)
+        if leads_off and remaining(self._road, lanes, node) < ADOPT_ROOM:
+            return None
+        return lanes, edges, leads_off
+
+    def _stops_on(self, vehicle: str, edges: tuple[str, ...]) -> bool:
+        """Whether it has a stop ahead or under way there: SUMO drives until it is done."""
+        stops = self._api.vehicle.getStops(vehicle, 1)
+        return bool(stops) and self._scene.edge(stops[0].lane) in edges
+
+    def _wanted(self, vehicle: str, kind: str) -> bool:
+        marks = Parameters(self._api, vehicle, kind).marks()
+        certain = self._choice.certain(vehicle, marks)
+        if certain is not None:
+            return certain
+        self._asked += 1
+        return self._choice.drawn(vehicle, kind, self._asked - 1, marks.share)
+
+    def _take(
+        self, vehicle: str, row: int, lanes: RouteLanes, edges: tuple[str, ...], leads_off: bool
+    ) -> Member:
+        api, table = self._api.vehicle, self._table
+        factor = float(api.getSpeedFactor(vehicle))
+        member = Member(lanes, edges, leads_off, factor, float(api.getMaxSpeed(vehicle)))
+        api.setSpeedMode(vehicle, SPEED_MODE)
+        api.setLaneChangeMode(vehicle, LANE_MODE)
+        table.controlled[row] = True
+        self.read_context(vehicle, row, member)
+        sim = self._drivers[int(table.driver[row])].sim
+        bounds = sim.truck_accel_bounds if table["truck"][row] else sim.accel_bounds
+        table["accel"][row] = np.clip(table["accel"][row], *bounds)
+        table["accel_history"][row] = table["accel"][row]
+        self._scene.lane_of.pop(vehicle, None)
+        self._scene.trips[vehicle].adopted = True
+        fresh = vehicle in self._scene.departed
+        self._scene.events.record("adoption", vehicle, "departed" if fresh else "reached the observed road")
+        return member
+
+    def read_context(self, vehicle: str, row: int, member: Member) -> None:
+        """Alpha, target speed and policy as the vehicle's parameters say now."""
+        context = Parameters(self._api, vehicle, self._scene.types[vehicle]).context()
+        try:
+            self._table.driver[row] = self._drivers.number(context.policy)
+        except PhaseError as error:
+            raise PhaseError(f"vehicle {vehicle!r}: parameter phase.policy: {error}") from None
+        alpha = context.alpha
+        self._table["alpha"][row] = self._choice.alpha_of(vehicle) if alpha is None else alpha
+        member.target_speed = context.target_speed

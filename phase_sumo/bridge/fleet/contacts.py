@@ -1,0 +1,119 @@
+"""Contacts between vehicles from exact boxes, tractor and trailer alike: one event per contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from phase_sumo.bridge.fleet.event_log import Event, EventLog
+from phase_sumo.bridge.fleet.table import VehicleTable
+from phase_sumo.sim.events import at_fault
+from phase_sumo.sim.geometry import boxes_overlap
+from phase_sumo.sim.near import pairs_within
+from phase_sumo.sim.vehicles import boxes
+
+APART = 1.0  # s without overlap that end a contact
+CROSSING = np.radians(60.0)  # headings further apart are on different levels of an interchange
+
+
+@dataclass
+class _Contact:
+    """A contact that may go on: its event, when it began and the last overlap in s."""
+
+    event: Event
+    begin: float
+    last: float
+
+
+class ContactMonitor:
+    """Finds overlaps of all vehicles in a table and joins them into contacts.
+
+    The network is flat, so vehicles whose headings differ by more than 60 degrees are taken to be on
+    different levels; head-on contact does not happen on one carriageway.
+    """
+
+    def __init__(self, log: EventLog) -> None:
+        self._log = log
+        self._open: dict[tuple[str, str], _Contact] = {}
+
+    def update(self, table: VehicleTable, time: float, types: dict[str, str]) -> list[Event]:
+        """Contacts that begin now; they are in the log."""
+        new: list[Event] = []
+        for i, j, event in _overlaps(table, self._log.now, types):
+            pair = (table.ids[i], table.ids[j])
+            contact = self._open.get(pair)
+            if contact is None:
+                new.append(self._log.add(event))
+                contact = self._open[pair] = _Contact(event, time, time)
+            contact.last = time
+            contact.event.seconds = round(time - contact.begin, 3)
+        self._open = {k: c for k, c in self._open.items() if time - c.last <= APART}
+        return new
+
+
+def _overlaps(table: VehicleTable, time: float, types: dict[str, str]):
+    rows = np.flatnonzero(table.active)
+    if len(rows) < 2:
+        return []
+    every = boxes(table.shape(), table.state())[:, :, 0]  # [6, 2, N]
+    box = every[:, :, torch.from_numpy(rows)].flatten(1)
+    real = np.flatnonzero(box[4].numpy() > 0)
+    owner, towed, box = rows[real % len(rows)], real >= len(rows), box[:, torch.from_numpy(real)]
+    radius = torch.hypot(box[4], box[5]).numpy()
+    centre = box[:2].T.numpy()
+    first, second = pairs_within(centre, centre, 2.0 * float(radius.max()))
+    near = np.hypot(*(centre[first] - centre[second]).T) <= radius[first] + radius[second]
+    near &= owner[first] < owner[second]
+    first, second = torch.from_numpy(first[near]), torch.from_numpy(second[near])
+    a, b = box[:, first], box[:, second]
+    level = a[2] * b[2] + a[3] * b[3] > np.cos(CROSSING)
+    found: dict[tuple[int, int], Event] = {}
+    for k in torch.nonzero(boxes_overlap(a, b) & level).flatten().tolist():
+        i, j = int(owner[first[k]]), int(owner[second[k]])
+        if (i, j) not in found:
+            middle = 0.5 * (a[:2, k] + b[:2, k])
+            parts = bool(towed[first[k]]), bool(towed[second[k]])
+            found[i, j] = _event(table, (i, j), parts, middle, every[:, 0], time, types)
+    return [(i, j, event) for (i, j), event in found.items()]
+
+
+def _event(
+    table: VehicleTable,
+    pair: tuple[int, int],
+    towed: tuple[bool, bool],
+    middle: torch.Tensor,
+    body: torch.Tensor,
+    time: float,
+    types: dict[str, str],
+) -> Event:
+    """Rows and the boxes that touch -> event; the vehicle at fault comes first."""
+    i, j = pair
+    if not at_fault(body[:, i], body[:, j]):
+        i, j, towed = j, i, (towed[1], towed[0])
+    a, b = table.ids[i], table.ids[j]
+    return Event(
+        time=time,
+        kind="collision",
+        vehicle=a,
+        other=b,
+        x=float(middle[0]),
+        y=float(middle[1]),
+        speed=float(table["speed"][i]),
+        other_speed=float(table["speed"][j]),
+        type=types.get(a, ""),
+        other_type=types.get(b, ""),
+        phase=bool(table.controlled[i]),
+        other_phase=bool(table.controlled[j]),
+        fault=True,
+        other_fault=bool(at_fault(body[:, j], body[:, i])),
+        box=_box(table, i, towed[0]),
+        other_box=_box(table, j, towed[1]),
+    )
+
+
+def _box(table: VehicleTable, row: int, towed: bool) -> str:
+    if towed:
+        return "trailer"
+    return "tractor" if table["trailer_length"][row] > 0 else "body"

@@ -1,0 +1,322 @@
+"""The vehicles that PHASE drives: taken over from SUMO, moved, and given back."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import numpy as np
+import torch
+
+from phase_sumo.bridge.fleet.adoption import Adoption
+from phase_sumo.bridge.fleet.choice import Choice
+from phase_sumo.bridge.fleet.context import TARGET_SPEEDS
+from phase_sumo.bridge.fleet.controller import Controller
+from phase_sumo.bridge.fleet.drivers import Drivers
+from phase_sumo.bridge.fleet.goals import GoalPlanner
+from phase_sumo.bridge.fleet.member import Member
+from phase_sumo.bridge.fleet.pose import PoseWriter
+from phase_sumo.bridge.fleet.road import FloatArray, IntArray, Road
+from phase_sumo.bridge.fleet.route import RouteLanes, follow_lanes, kept_stretch, remaining, route_lanes
+from phase_sumo.bridge.fleet.scene import Scene
+from phase_sumo.bridge.fleet.speed_limits import SpeedLimits
+from phase_sumo.bridge.sumo.session import bare
+from phase_sumo.errors import PhaseError
+from phase_sumo.sim.events import road_contacts
+from phase_sumo.sim.lanes import LaneNetwork
+from phase_sumo.sim.vehicles import boxes
+
+HAND_BACK_ROOM = 100.0  # m before the end of the observed road at which SUMO takes over again
+KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer to a lane
+OFF_ROAD_SECONDS = 4.0  # s without a lane after which a vehicle is taken out
+EDGE_CONTACT_APART = 1.0  # s without touching the road edge that end one contact
+ROUTES_KEPT = 1000  # whose lanes are remembered for vehicles to come
+SUMO_SPEED_MODE, SUMO_LANE_MODE = 31, 1621  # SUMO's defaults
+VAPORIZED = 3
+
+
+class Fleet:
+    """Owns the poses of its vehicles; SUMO is told about them after every step."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        network: LaneNetwork,
+        drivers: Drivers,
+        choice: Choice,
+        publish_hitch: bool = False,
+    ) -> None:
+        """``publish_hitch`` keeps the hitch angle in rad in each trailer's parameter ``phase.hitch``."""
+        self._scene, self._table, self._api = scene, scene.table, scene.api
+        self._drivers = drivers
+        self._road = Road(network)
+        # SUMO crashes when a calibrator takes out a vehicle that was told to move: SUMO drives there
+        calibrator = self._api.calibrator
+        self._road.edges -= {calibrator.getEdgeID(name) for name in calibrator.getIDList()}
+        self._planner = GoalPlanner(self._road, scene.table)
+        self._controller = Controller(self._road, scene.table, drivers, self._planner)
+        self._members: dict[str, Member] = {}
+        self._released: set[str] = set()
+        self._node = np.full(len(scene.table), -1, np.int64)
+        self._routes: dict[tuple[tuple[str, ...], bool], RouteLanes] = {}
+        self._follow = follow_lanes(self._road)
+        self._adoption = Adoption(scene, self._road, choice, drivers, self._lanes)
+        self._writer = PoseWriter(self._api, self._road, scene.table)
+        self._lane_id = bare(self._api, "vehicle", "getLaneID")
+        self._limits = SpeedLimits(self._api, network)
+        self._substeps = 1
+        self._publish_hitch = publish_hitch
+
+    @property
+    def cpu_per_decision(self) -> float:
+        """CPU microseconds per vehicle and policy step."""
+        return 1e6 * self._controller.cpu / max(self._controller.decisions, 1)
+
+    def report(self) -> dict[str, Any]:
+        """Counts beyond the common ones."""
+        happened = self._scene.events.counts()
+        return {
+            "wrong_exits": happened["wrong exit"],
+            "reroutes": happened["reroute"],
+            "hand_backs": happened["hand-back"],
+            "lane_change_goals": self._planner.changes_wanted,
+            "decisions": self._controller.decisions,
+        }
+
+    def check_step(self, step_length: float) -> None:
+        """SUMO's step must hold a whole number of ours."""
+        dt = self._drivers.dt
+        self._substeps = round(step_length / dt)
+        if self._substeps < 1 or abs(self._substeps * dt - step_length) > 1e-6:
+            raise PhaseError(
+                f"option step-length {step_length:g} s: PHASE moves in steps of {dt:g} s; "
+                f"pass -- --step-length {max(self._substeps, 1) * dt:g}"
+            )
+
+    def take(self, vehicle: str) -> None:
+        """Drive it from the next step on, or once its road is observed."""
+        self._released.discard(vehicle)
+        self._adoption.left_to_sumo.discard(vehicle)
+
+    def release(self, vehicle: str) -> None:
+        """Give it back to SUMO with the next step."""
+        self._released.add(vehicle)
+        self._adoption.left_to_sumo.add(vehicle)
+
+    def read_context(self, vehicle: str) -> None:
+        """Drive by what the vehicle's ``phase.*`` parameters say now."""
+        member = self._members.get(vehicle)
+        if member:
+            self._adoption.read_context(vehicle, self._table.row_of[vehicle], member)
+
+    def follow_sumo(self, time: float) -> None:
+        """After SUMO's step: take over, give back, watch the road edge."""
+        for vehicle in set(self._members) - set(self._scene.facts):
+            self._drop(vehicle)
+        self._adoption.forget_absent()
+        self._limits.update(time)
+        self._locate()
+        self._adopt()
+        for vehicle in [v for v in self._members if v in self._released]:
+            self._hand_back(vehicle, self._members[vehicle])
+        self._released.clear()
+        self._check(time)
+        self._watch_road_edge(time)
+
+    def drive(self, time: float) -> None:
+        """Move the vehicles and tell SUMO where they will be after its next step."""
+        routes = {vehicle: member.route for vehicle, member in self._members.items()}
+        before, table = self._node, self._table
+        x, y = table["x"].copy(), table["y"].copy()
+        self._node = self._controller.drive(time, self._substeps, before, routes)
+        metres = np.hypot(table["x"] - x, table["y"] - y)
+        front_x, front_y = table.front
+        for vehicle, past in zip(list(self._members), self._past_end(before, front_x, front_y), strict=True):
+            if past:
+                self._finish(vehicle, self._members[vehicle])
+        rows = self._rows()
+        self._count(rows, metres[rows])
+        front = np.stack((front_x[rows], front_y[rows]), -1)
+        self._writer.write(self._members, rows, self._node[rows], front, time)
+
+    def _rows(self) -> IntArray:
+        """Table rows of the members, in their order."""
+        row_of = self._table.row_of
+        return np.fromiter((row_of[vehicle] for vehicle in self._members), np.int64, len(self._members))
+
+    def _count(self, rows: IntArray, metres: FloatArray) -> None:
+        """Add the step, of ``metres`` [n] for each member, to the trips, and publish hitch angles."""
+        table, trips = self._table, self._scene.trips
+        seconds = self._substeps * self._drivers.dt
+        for vehicle, driven in zip(self._members, metres.tolist(), strict=True):
+            trip = trips[vehicle]
+            trip.policy_seconds += seconds
+            trip.policy_metres += driven
+        if self._publish_hitch:
+            for row in rows[table["trailer_length"][rows] > 0].tolist():
+                hitch = f"{table['hitch'][row]:.6f}"
+                self._api.vehicle.setParameter(table.ids[row], "phase.hitch", hitch)
+
+    def _locate(self) -> None:
+        """Nodes of all rows; empty rows and rows that changed hands start anew."""
+        size = len(self._table)
+        if len(self._node) < size:
+            self._node = np.r_[self._node, np.full(size - len(self._node), -1, np.int64)]
+        self._node[~self._table.active] = -1
+        # PHASE vehicles are where they were found after their move
+        rows = np.flatnonzero(self._table.active & ~(self._table.controlled & (self._node >= 0)))
+        if len(rows):
+            self._node = self._controller.track(self._node, rows)
+
+    def _adopt(self) -> None:
+        for vehicle, member in self._adoption.take_over(self._node, self._members):
+            self._members[vehicle] = member
+
+    def _check(self, time: float) -> None:
+        """Keep the target speeds current; give back, reroute or take out where needed."""
+        members, rows = list(self._members.items()), self._rows()
+        node = self._node[rows]
+        lane = np.where(node >= 0, self._road.graph.node_lane[node], -1)
+        changes = np.array([m.route.changes[k] for (_, m), k in zip(members, lane, strict=True)])
+        on_route = (node >= 0) & np.isfinite(changes)
+        kept = np.flatnonzero(on_route)
+        self._set_target_speeds([members[k][1] for k in kept], rows[kept], node[kept])
+        lane_id = self._lane_id
+        for (vehicle, member), on, at in zip(members, on_route.tolist(), node.tolist(), strict=True):
+            if not lane_id(vehicle):
+                member.off_lane_until = time + KEEP_ON_LANE
+            if on:
+                member.lost_since = None
+                if member.leads_off or not member.edges:
+                    self._check_end(vehicle, member, at)
+            elif at < 0:
+                member.lost_since = time if member.lost_since is None else member.lost_since
+                if time - member.lost_since >= OFF_ROAD_SECONDS:
+                    self._remove(vehicle, "off road")
+            else:
+                member.lost_since = None
+                self._lost_route(vehicle, member)
+
+    def _check_end(self, vehicle: str, member: Member, node: int) -> None:
+        """Give back or take out a vehicle whose stretch of observed road ends."""
+        room = remaining(self._road, member.route, node)
+        connector = self._road.network.lanes[int(self._road.graph.node_lane[node])].connector
+        speed = self._table["speed"][self._table.row_of[vehicle]]
+        if member.leads_off and room < HAND_BACK_ROOM and not connector:
+            self._hand_back(vehicle, member)
+        elif not member.edges and room < 2.0 + speed * self._scene.session.step_length:
+            self._remove(vehicle, "wrong exit")
+
+    def _lost_route(self, vehicle: str, member: Member) -> None:
+        """Off its route: let SUMO look for another way, else follow the lane."""
+        goal = member.edges[-1] if member.edges else ""
+        if not member.wrong:
+            member.wrong = True
+            self._scene.events.record("wrong exit", vehicle, f"off the way to {goal}" if goal else "")
+        lane = self._api.vehicle.getLaneID(vehicle)
+        if lane.startswith(":"):
+            return
+        route: tuple[str, ...] = ()
+        with contextlib.suppress(self._scene.session.refused):
+            self._api.vehicle.changeTarget(vehicle, goal)
+            route = tuple(self._api.vehicle.getRoute(vehicle))
+            route = route[self._api.vehicle.getRouteIndex(vehicle) :]
+        edges = kept_stretch(self._road, route, 0)
+        truck = bool(self._table["truck"][self._table.row_of[vehicle]])
+        lanes = self._lanes(edges, truck) if edges and edges[-1] == goal else None
+        node = int(self._node[self._table.row_of[vehicle]])
+        if lanes is not None and np.isfinite(lanes.changes[self._road.graph.node_lane[node]]):
+            member.route, member.edges, member.wrong = lanes, edges, False
+            self._scene.events.record("reroute", vehicle, f"another way to {goal}")
+        else:
+            member.route, member.edges, member.leads_off = self._follow, (), False
+
+    def _lanes(self, edges: tuple[str, ...], truck: bool) -> RouteLanes:
+        key = (edges, truck)
+        if key not in self._routes:
+            if len(self._routes) == ROUTES_KEPT:
+                del self._routes[next(iter(self._routes))]  # the oldest
+            self._routes[key] = route_lanes(self._road, edges, truck)
+        return self._routes[key]
+
+    def _set_target_speeds(self, members: list[Member], rows: IntArray, node: IntArray) -> None:
+        factor = np.array([m.speed_factor for m in members])
+        highest = np.array([m.max_speed for m in members])
+        wanted = np.array([m.target_speed or 0.0 for m in members])
+        limit = self._limits.values[self._road.graph.node_lane[node]]
+        speed = np.where(wanted > 0, wanted, np.minimum(limit * factor, highest))
+        self._table["goal_speed"][rows] = np.clip(speed, *TARGET_SPEEDS)
+
+    def _past_end(self, node: IntArray, front_x: FloatArray, front_y: FloatArray) -> list[bool]:
+        """Whether each member's new pose is past the end of the last lane of its route.
+
+        Args:
+            node: [N] of the rows before the move.
+            front_x, front_y: [N] after it.
+        """
+        graph, rows = self._road.graph, self._rows()
+        on_road = np.maximum(node[rows], 0)
+        lane = graph.node_lane[on_road]
+        end = self._road.first[lane] + self._road.count[lane] - 1
+        yaw = graph.node_yaw[end].astype(np.float64)
+        dx, dy = (
+            at[rows] - middle for at, middle in zip((front_x, front_y), graph.node_xy[end].T, strict=True)
+        )
+        past = (node[rows] >= 0) & (dx * np.cos(yaw) + dy * np.sin(yaw) > -0.3)
+        for k, (member, i) in enumerate(zip(self._members.values(), lane.tolist(), strict=True)):
+            if past[k]:
+                last = not member.leads_off and bool(member.edges)
+                past[k] = last and self._road.network.lanes[i].edge == member.edges[-1]
+        return past.tolist()
+
+    def _finish(self, vehicle: str, member: Member) -> None:
+        """SUMO takes the last step of the trip, so that the vehicle arrives in its records."""
+        self._scene.trips[vehicle].finished = True
+        self._release(vehicle, member)
+
+    def _hand_back(self, vehicle: str, member: Member) -> None:
+        api = self._api.vehicle
+        self._scene.events.record("hand-back", vehicle, "the observed road ends")
+        lane = api.getLaneID(vehicle)
+        if lane and not lane.startswith(":"):
+            api.moveTo(vehicle, lane, api.getLanePosition(vehicle))
+        self._release(vehicle, member)
+
+    def _release(self, vehicle: str, member: Member) -> None:
+        api = self._api.vehicle
+        api.setSpeedMode(vehicle, SUMO_SPEED_MODE)
+        api.setLaneChangeMode(vehicle, SUMO_LANE_MODE)
+        api.setSpeed(vehicle, -1.0)
+        self._drop(vehicle)
+        self._table.controlled[self._table.row_of[vehicle]] = False
+
+    def _remove(self, vehicle: str, reason: str) -> None:
+        self._scene.take_out(vehicle, reason)
+        self._api.vehicle.remove(vehicle, VAPORIZED)
+        self._drop(vehicle)
+
+    def _drop(self, vehicle: str) -> None:
+        del self._members[vehicle]
+        self._adoption.left_to_sumo.add(vehicle)
+        self._planner.forget(vehicle)
+
+    def _watch_road_edge(self, time: float) -> None:
+        rows = np.flatnonzero(self._table.controlled)
+        if not len(rows):
+            return
+        towing = self._table["trailer_length"][rows] > 0
+        rows = np.r_[rows[towing], rows[~towing]]  # those with a second box to test come first
+
+        def own(values: torch.Tensor) -> torch.Tensor:
+            return values[:, torch.from_numpy(rows)]
+
+        box = boxes(self._table.shape().map(own), self._table.state().map(own))
+        touching, _ = road_contacts(box, self._road.map, torch.zeros(1, dtype=torch.long), int(towing.sum()))
+        for row in rows[touching[0].numpy()].tolist():
+            member = self._members[self._table.ids[row]]
+            if member.edge_event is None or time - member.edge_contact > EDGE_CONTACT_APART:
+                off = "off the road" if self._node[row] < 0 else "contact"
+                member.edge_event = self._scene.events.record("road edge", self._table.ids[row], off)
+                member.edge_begin = time
+            member.edge_contact = time
+            member.edge_event.seconds = round(time - member.edge_begin, 3)

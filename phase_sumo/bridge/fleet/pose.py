@@ -1,0 +1,90 @@
+"""Tells SUMO where a vehicle under the policy will be after its next step."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import numpy as np
+
+from phase_sumo.bridge.fleet.member import Member
+from phase_sumo.bridge.fleet.road import FloatArray, IntArray, Road
+from phase_sumo.bridge.fleet.table import VehicleTable
+from phase_sumo.bridge.sumo.conventions import angle_from_yaw
+from phase_sumo.bridge.sumo.session import bare
+
+MOVE = 2  # moveToXY keepRoute: exact position, any road
+MATCH = 10.0  # m within which SUMO looks for the lane
+
+
+class PoseWriter:
+    """Writes poses with moveToXY and speeds with setSpeed, so that SUMO reports both unchanged.
+
+    SUMO's acceleration is then the change of speed over its step.
+    """
+
+    def __init__(self, api: ModuleType, road: Road, table: VehicleTable) -> None:
+        self._api, self._road, self._table = api, road, table
+        self._move = bare(api, "vehicle", "moveToXY")
+        self._set_speed = bare(api, "vehicle", "setSpeed")
+        self._shapes: dict[str, np.ndarray] = {}
+
+    def write(
+        self, members: dict[str, Member], rows: IntArray, node: IntArray, front: FloatArray, time: float
+    ) -> None:
+        """Place vehicles.
+
+        Args:
+            members: by vehicle id.
+            rows: [n] of the members in the table.
+            node: [n] of the front bumpers, -1 off the road.
+            front: [n, 2] front bumper centres in m.
+        """
+        speed = self._table["speed"][rows].tolist()
+        angle = angle_from_yaw(self._table["yaw"][rows])
+        move, set_speed = self._move, self._set_speed
+        places = zip(members.items(), front.tolist(), angle.tolist(), speed, strict=True)
+        for k, ((vehicle, member), (x, y), heading, driven) in enumerate(places):
+            if time < member.off_lane_until:
+                x, y = self._towards_lane((x, y), int(rows[k]), int(node[k]))
+            move(vehicle, "", -1, x, y, heading, MOVE, MATCH)
+            # else SUMO reports the bumper's mean speed along the lane, clamped to the limit
+            set_speed(vehicle, driven)
+
+    def _towards_lane(self, at: tuple[float, float], row: int, node: int) -> tuple[float, float]:
+        """The position nearest to ``at`` that SUMO still counts as on the lane.
+
+        Others do not see a vehicle that is on none of SUMO's lanes. That happens beside the road, but also
+        where SUMO's lanes jump sideways at a junction and ours are smooth. Our own pose stays as it is.
+        """
+        if node < 0:
+            return at
+        index = int(self._road.graph.node_lane[node])
+        lane = self._road.network.lanes[index]
+        best = (np.inf, at, 0.0)
+        # a connector without internal lanes is on none of SUMO's lanes
+        names = [part for part, _ in lane.parts] or [lane.id] * (not lane.connector)
+        if not names:
+            return at
+        for name in names:
+            x, y = nearest_on_line(self._sumo_shape(name), at)
+            best = min(best, (float(np.hypot(at[0] - x, at[1] - y)), (x, y), lane.width))
+        distance, (x, y), width = best
+        reach = 0.4 * (width + float(self._table["width"][row]))
+        if distance <= reach:
+            return at
+        return x + (at[0] - x) * reach / distance, y + (at[1] - y) * reach / distance
+
+    def _sumo_shape(self, lane: str) -> np.ndarray:
+        if lane not in self._shapes:
+            self._shapes[lane] = np.array([p[:2] for p in self._api.lane.getShape(lane)], np.float64)
+        return self._shapes[lane]
+
+
+def nearest_on_line(line: np.ndarray, at: tuple[float, float]) -> tuple[float, float]:
+    """Point of a polyline [P, 2] nearest to a position."""
+    a, b = line[:-1], line[1:]
+    along = b - a
+    share = ((at - a) * along).sum(1) / np.maximum((along * along).sum(1), 1e-12)
+    points = a + np.clip(share, 0.0, 1.0)[:, None] * along
+    nearest = points[np.hypot(*(points - at).T).argmin()]
+    return float(nearest[0]), float(nearest[1])

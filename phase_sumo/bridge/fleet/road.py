@@ -1,0 +1,105 @@
+"""The observed road for the fleet: lane graph, road map, and where each vehicle is on them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_sumo.bridge.maps.road_lines import road_lines
+from phase_sumo.sim.lane_graph import build_lane_graph
+from phase_sumo.sim.lanes import LaneNetwork
+from phase_sumo.sim.near import pairs_within
+from phase_sumo.sim.road_build import build_road_map
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+MATCH_RADIUS = 6.0  # m, farther from any lane centre is off the road
+MATCH_YAW = np.radians(75.0)
+REMATCH = 2.6  # m from the tracked node, from where on the whole graph is searched
+YAW_COST = 4.0  # m per rad when nodes compete in a search of the whole graph
+
+
+class Road:
+    """A lane network with its graph; nodes are about 1 m apart, so node counts stand for metres.
+
+    Attributes:
+        network, graph, map: lanes, lane graph, road map of them.
+        first, count: [L] node range of each lane.
+        metres: [L] geometric length.
+        edges: ids of the edges that PHASE may drive on, at first all whose lanes are kept.
+        following, preceding: lanes after and before each lane.
+    """
+
+    def __init__(self, network: LaneNetwork) -> None:
+        self.network = network
+        self.graph = build_lane_graph(network)
+        self.map = build_road_map(road_lines(network), self.graph)
+        self.count = np.bincount(self.graph.node_lane, minlength=len(network.lanes))
+        self.first = np.concatenate(([0], np.cumsum(self.count)[:-1]))
+        self.metres = np.array([float(np.hypot(*np.diff(c.points, axis=0).T).sum()) for c in network.lanes])
+        self.edges = frozenset(c.edge for c in network.lanes if not c.connector)
+        self.following: list[list[int]] = [[] for _ in network.lanes]
+        self.preceding: list[list[int]] = [[] for _ in network.lanes]
+        for a, b in network.successors:
+            self.following[a].append(b)
+            self.preceding[b].append(a)
+        self._step = self._neighbourhood()
+
+    def offset(self, node: int) -> int:
+        """Metres (nodes) from the start of the node's lane."""
+        return int(node - self.first[self.graph.node_lane[node]])
+
+    def track(
+        self, node: IntArray, x: FloatArray, y: FloatArray, yaw: FloatArray
+    ) -> tuple[IntArray, FloatArray]:
+        """The node nearest to each position, searched from the last one (-1: unknown).
+
+        Returns:
+            node [n], -1 off the road, and the distance to it in m.
+        """
+        at = np.stack((x, y), -1)
+        known = node >= 0
+        here = np.where(known, node, 0)
+        best = self._distance(here, at)
+        for _ in range(64):  # hill climbing along and across the lanes
+            options = self._step[here]
+            distance = np.hypot(*np.moveaxis(self.graph.node_xy[options] - at[:, None], -1, 0))
+            choice = distance.argmin(1)
+            nearest = distance[np.arange(len(here)), choice]
+            better = nearest < best - 1e-4
+            if not better.any():
+                break
+            here = np.where(better, options[np.arange(len(here)), choice], here)
+            best = np.where(better, nearest, best)
+        lost = ~known | (best > REMATCH)
+        if lost.any():
+            here = here.copy()
+            here[lost] = self._search(at[lost], yaw[lost])
+            best[lost] = np.where(
+                here[lost] >= 0, self._distance(np.maximum(here[lost], 0), at[lost]), np.inf
+            )
+        return here, best
+
+    def _distance(self, node: IntArray, at: FloatArray) -> FloatArray:
+        return np.hypot(*(self.graph.node_xy[node] - at).T).astype(np.float64)
+
+    def _search(self, at: FloatArray, yaw: FloatArray) -> IntArray:
+        found = np.full(len(at), -1, np.int64)
+        query, node = pairs_within(at, self.graph.node_xy, MATCH_RADIUS)
+        turn = np.abs(np.remainder(self.graph.node_yaw[node] - yaw[query] + np.pi, 2 * np.pi) - np.pi)
+        use = turn < MATCH_YAW
+        query, node, turn = query[use], node[use], turn[use]
+        cost = np.hypot(*(self.graph.node_xy[node] - at[query]).T) + YAW_COST * turn
+        order = np.lexsort((cost, query))
+        query, node = query[order], node[order]
+        head = np.r_[True, query[1:] != query[:-1]] if len(query) else np.zeros(0, bool)
+        found[query[head]] = node[head]
+        return found
+
+    def _neighbourhood(self) -> IntArray:
+        """[V, 6] successors and the nodes abreast; the node itself where there is none."""
+        graph = self.graph
+        options = np.concatenate((graph.successor, graph.left[:, None], graph.right[:, None]), 1).astype(
+            np.int64
+        )
+        return np.where(options >= 0, options, np.arange(len(options))[:, None])

@@ -1,0 +1,150 @@
+"""Which lanes lead along a route, how many lane changes are still needed, and until where.
+
+The same idea as SUMO's best lanes, worked out once per stretch of route and kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_sumo.bridge.fleet.road import Road
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class RouteLanes:
+    """What each lane of the network means to one route, all [L].
+
+    Attributes:
+        changes: lane changes needed from this lane to the end of the route, inf off the route.
+        room: m from the lane's start that can be driven without any change, inf when none is needed.
+        onward: lane to take at the lane's end, -1 where the route or the lane ends.
+        side: +1 when the lane to the left needs fewer changes, -1 for the right, 0 for neither.
+    """
+
+    changes: FloatArray
+    room: FloatArray
+    onward: IntArray
+    side: IntArray
+
+
+@dataclass(frozen=True)
+class Place:
+    """A point ahead: position in m, direction in rad, and its lane."""
+
+    x: float
+    y: float
+    yaw: float
+    lane: int
+
+
+def kept_stretch(road: Road, edges: Sequence[str], at: int) -> tuple[str, ...]:
+    """The part of a route from index ``at`` on that stays on the observed road without a break."""
+    stretch = []
+    for edge in edges[at:]:
+        if edge not in road.edges:
+            break
+        stretch.append(edge)
+    return tuple(stretch)
+
+
+def route_lanes(road: Road, edges: Sequence[str], truck: bool) -> RouteLanes:
+    """Work backwards from the last edge of a stretch, on which every lane counts as arrived.
+
+    Args:
+        edges: consecutive edges of the observed road.
+        truck: leave out lanes that trucks may not use.
+    """
+    lanes = road.network.lanes
+    size = len(lanes)
+    changes, room = np.full(size, np.inf), np.zeros(size)
+    onward, side = np.full(size, -1, np.int64), np.zeros(size, np.int64)
+    by_edge: dict[str, list[int]] = {}
+    for i, lane in enumerate(lanes):
+        if not lane.connector and (lane.allows_truck if truck else lane.allows_car):
+            by_edge.setdefault(lane.edge, []).append(i)
+    last = by_edge.get(edges[-1], []) if edges else []
+    changes[last], room[last] = 0.0, np.inf
+    for edge in reversed(edges[:-1]):
+        here = by_edge.get(edge, [])
+        for i in here:
+            _extend(road, i, changes, room, onward)
+        _sideways(road, here, changes, side)
+    return RouteLanes(changes, room, onward, side)
+
+
+def follow_lanes(road: Road) -> RouteLanes:
+    """Stay in lane, take the first way on: for a vehicle that has lost its route."""
+    size = len(road.network.lanes)
+    onward = np.array([f[0] if f else -1 for f in road.following], np.int64).reshape(-1)
+    return RouteLanes(np.zeros(size), np.full(size, np.inf), onward, np.zeros(size, np.int64))
+
+
+def _extend(road: Road, i: int, changes: FloatArray, room: FloatArray, onward: IntArray) -> None:
+    """Value of lane i from the lanes that follow it; connectors get theirs on the way.
+
+    Lanes of later edges have their values; all others still hold inf.
+    """
+    lanes = road.network.lanes
+    best = (np.inf, 0.0, -1)
+    for j in road.following[i]:
+        if lanes[j].connector:
+            targets = [k for k in road.following[j] if np.isfinite(changes[k])]
+            if not targets:
+                continue
+            k = targets[0]
+            changes[j], onward[j] = changes[k], k
+            room[j] = road.metres[j] + room[k]
+        if np.isfinite(changes[j]):
+            best = min(best, (float(changes[j]), -float(room[j]), j))
+    changes[i] = best[0]
+    onward[i] = best[2]
+    room[i] = road.metres[i] - best[1] if best[2] >= 0 else road.metres[i]
+
+
+def _sideways(road: Road, here: list[int], changes: FloatArray, side: IntArray) -> None:
+    """Let lanes profit from their neighbours: one change more than the better one."""
+    lanes = road.network.lanes
+    allowed = set(here)
+    for _ in here:
+        for i in here:
+            for sign, j in ((1, lanes[i].left), (-1, lanes[i].right)):
+                if j in allowed and changes[j] + 1.0 < changes[i]:
+                    changes[i], side[i] = changes[j] + 1.0, sign
+    for i in here:  # where staying is as good, the side is still worth knowing
+        if side[i] == 0 and changes[i] > 0:
+            for sign, j in ((1, lanes[i].left), (-1, lanes[i].right)):
+                if j in allowed and changes[j] < changes[i]:
+                    side[i] = sign
+
+
+def ahead(road: Road, route: RouteLanes, node: int, distance: float) -> Place:
+    """The lane node ``distance`` m further along the route; straight on beyond the last lane's end."""
+    graph = road.graph
+    lane = int(graph.node_lane[node])
+    target = road.offset(node) + distance
+    while target > road.count[lane] - 1 and route.onward[lane] >= 0:
+        target -= road.count[lane]
+        lane = int(route.onward[lane])
+    beyond = max(target - (road.count[lane] - 1), 0.0)
+    at = int(road.first[lane] + min(max(round(target), 0), road.count[lane] - 1))
+    x, y, yaw = (float(v) for v in (*graph.node_xy[at], graph.node_yaw[at]))
+    return Place(x + beyond * np.cos(yaw), y + beyond * np.sin(yaw), yaw, lane)
+
+
+def remaining(road: Road, route: RouteLanes, node: int) -> float:
+    """m along the route from the node to the end of the stretch, by ``onward`` alone."""
+    lane = int(road.graph.node_lane[node])
+    total = float(road.count[lane] - 1 - road.offset(node))
+    for _ in range(len(road.count)):
+        lane = int(route.onward[lane])
+        if lane < 0:
+            break
+        total += float(road.metres[lane])
+    return total

@@ -1,0 +1,194 @@
+"""The traffic of a running simulation: who is there, and where SUMO's own vehicles are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from phase_sumo.bridge.fleet.context import Parameters
+from phase_sumo.bridge.fleet.event_log import EventLog
+from phase_sumo.bridge.fleet.table import VehicleTable
+from phase_sumo.bridge.sumo.conventions import Kind, ShapeRow, reference_from_front, yaw_from_angle
+from phase_sumo.bridge.sumo.session import Simulation, bare
+
+MIRRORED = ("LaneID", "Position", "Angle", "Speed", "Acceleration")
+REMOVED_BY_SUMO = "by SUMO"
+
+
+@dataclass
+class Trip:
+    """One vehicle's way through the simulation.
+
+    Attributes:
+        vehicle, type: ids.
+        depart, delay: s, of the insertion as in SUMO's tripinfo, and how much later than wanted that was.
+        arrive: s, as in SUMO's tripinfo, NaN while it runs or when it was removed.
+        removed: reason, "" if it was not.
+        policy_seconds, seconds: under the policy, and in total.
+        policy_metres: driven under the policy.
+        adopted, finished: the policy drove it at some time; the policy drove it to its arrival.
+    """
+
+    vehicle: str
+    type: str
+    depart: float
+    delay: float = 0.0
+    arrive: float = float("nan")
+    removed: str = ""
+    policy_seconds: float = 0.0
+    seconds: float = 0.0
+    policy_metres: float = 0.0
+    adopted: bool = False
+    finished: bool = False
+
+
+@dataclass
+class VehicleFacts:
+    """Constants of a vehicle, read once."""
+
+    type: str
+    shape: ShapeRow
+    kind: Kind | None
+
+
+class Scene:
+    """Follows SUMO's vehicle list and mirrors the vehicles on the observed road in a table.
+
+    Attributes:
+        table: rows of the vehicles on the observed road.
+        trips: every vehicle that was ever inserted.
+        facts: type and shape of the present vehicles.
+        types: vehicle id -> vType id of the present vehicles.
+        lane_of: lane id of the SUMO-driven vehicles in the table.
+        departed: ids inserted in the last step.
+        events: what happened.
+    """
+
+    def __init__(self, session: Simulation, observed_edges: frozenset[str] | None) -> None:
+        """``observed_edges`` None observes every road."""
+        self.session = session
+        self.api = session.api
+        self.table = VehicleTable()
+        self.trips: dict[str, Trip] = {}
+        self.facts: dict[str, VehicleFacts] = {}
+        self.types: dict[str, str] = {}
+        self.lane_of: dict[str, str] = {}
+        self.departed: tuple[str, ...] = ()
+        self.events = EventLog(session, self.table, self.types)
+        self._observed = observed_edges
+        self._edge_of: dict[str, str] = {}
+        self._getters = [bare(self.api, "vehicle", f"get{name}") for name in MIRRORED]
+        for vehicle in self.api.vehicle.getIDList():  # of a simulation that runs already
+            self._enter(vehicle, float(self.api.vehicle.getDeparture(vehicle)))
+
+    def update(self) -> None:
+        """Read what the last step of SUMO changed; rows of controlled vehicles are left alone."""
+        time = self.events.now
+        self.departed = tuple(self.api.simulation.getDepartedIDList())
+        for vehicle in self.departed:
+            self._enter(vehicle, time)
+        for vehicle in self.api.simulation.getArrivedIDList():
+            if vehicle in self.facts:
+                self.trips[vehicle].arrive = time
+                self.forget(vehicle)
+        present = self.api.vehicle.getIDList()
+        if len(present) != len(self.facts):
+            for vehicle in set(self.facts) - set(present):
+                if not self._exists(vehicle):
+                    self.take_out(vehicle, REMOVED_BY_SUMO)
+        self._mirror(present)
+        for vehicle in self.facts:
+            self.trips[vehicle].seconds += self.session.step_length
+
+    def take_out(self, vehicle: str, reason: str) -> None:
+        """The vehicle leaves the simulation before its arrival."""
+        self.events.record("removal", vehicle, reason)
+        self.trips[vehicle].removed = reason
+        self.forget(vehicle)
+
+    def forget(self, vehicle: str) -> None:
+        """The vehicle left the simulation."""
+        del self.facts[vehicle], self.types[vehicle]
+        self.lane_of.pop(vehicle, None)
+        if vehicle in self.table.row_of:
+            self.table.remove(vehicle)
+
+    def edge(self, lane: str) -> str:
+        """Edge of a lane id, cached; lane ids may hold any character."""
+        edge = self._edge_of.get(lane)
+        if edge is None:
+            edge = self._edge_of[lane] = lane.rpartition("_")[0]
+        return edge
+
+    def accounts(self) -> dict[str, int]:
+        """Where all inserted vehicles are now: inserted = arrived + running + removed."""
+        trips = self.trips.values()
+        removed: dict[str, int] = {}
+        for trip in trips:
+            if trip.removed:
+                removed[trip.removed] = removed.get(trip.removed, 0) + 1
+        return {
+            "inserted": len(self.trips),
+            "arrived": sum(math.isfinite(t.arrive) for t in trips),
+            "running": len(self.facts),
+            **{f"removed: {reason}": count for reason, count in sorted(removed.items())},
+        }
+
+    def _exists(self, vehicle: str) -> bool:
+        """SUMO does not list a vehicle that is on no lane, but still knows it."""
+        try:
+            self.api.vehicle.getRouteIndex(vehicle)
+        except self.session.refused:
+            return False
+        return True
+
+    def _enter(self, vehicle: str, time: float) -> None:
+        kind = self.api.vehicle.getTypeID(vehicle)
+        facts = VehicleFacts(kind, *Parameters(self.api, vehicle, kind).shape())
+        self.facts[vehicle] = facts
+        self.types[vehicle] = kind
+        self.trips[vehicle] = Trip(vehicle, kind, time, float(self.api.vehicle.getDepartDelay(vehicle)))
+
+    def _mirror(self, present: tuple[str, ...]) -> None:
+        table = self.table
+        lane_id, place, heading, velocity, acceleration = self._getters
+        rows, x, y, angle, speed, accel, overhang = [], [], [], [], [], [], []
+        fresh: list[int] = []
+        for vehicle in present:
+            row = table.row_of.get(vehicle)
+            if row is not None and table.controlled[row]:
+                continue
+            lane = lane_id(vehicle)
+            if not self._is_observed(lane, row is not None):
+                if row is not None:
+                    table.remove(vehicle)
+                    self.lane_of.pop(vehicle, None)
+                continue
+            if row is None:
+                row = table.add(vehicle, self.facts[vehicle].shape)
+                fresh.append(len(rows))
+            self.lane_of[vehicle] = lane
+            position = place(vehicle)
+            rows.append(row)
+            x.append(position[0])
+            y.append(position[1])
+            angle.append(heading(vehicle))
+            speed.append(velocity(vehicle))
+            accel.append(acceleration(vehicle))
+            overhang.append(self.facts[vehicle].shape.front_overhang)
+        if not rows:
+            return
+        index = np.array(rows)
+        yaw = yaw_from_angle(angle)
+        table["yaw"][index[fresh]] = yaw[fresh]  # a trailer starts out straight
+        back_x, back_y = reference_from_front(x, y, yaw, overhang)
+        table.follow(index, back_x, back_y, yaw, np.array(speed), np.array(accel), self.session.step_length)
+
+    def _is_observed(self, lane: str, before: bool) -> bool:
+        if self._observed is None:
+            return bool(lane)
+        if lane.startswith(":"):
+            return before  # a junction belongs to the road one comes from
+        return self.edge(lane) in self._observed

@@ -1,0 +1,1 @@
+"""Networks of SUMO, OpenStreetMap and OpenDRIVE to lane networks, road maps and map bundles."""

@@ -1,0 +1,1 @@
+"""What a run leaves: trajectories, SUMO's own files put right, trailers in its window."""

@@ -1,0 +1,208 @@
+"""SUMO's own output files, made right for vehicles under the policy once SUMO has closed them.
+
+SUMO writes no lane change of a moved vehicle, takes it for one straight box, and counts a lane twice in its
+route length when it is left sideways. README says which outputs need nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Container
+from pathlib import Path
+from typing import Any
+
+from lxml import etree  # type: ignore[attr-defined]  # has no stubs
+
+from phase_sumo.bridge.fleet.event_log import Event, under_policy
+from phase_sumo.bridge.fleet.scene import REMOVED_BY_SUMO, Scene
+from phase_sumo.bridge.outputs.lane_changes import LaneChange, LaneChanges
+from phase_sumo.bridge.outputs.sumo_xml import merge_by_time, read_output, write_output
+
+OUTPUTS = ("tripinfo-output", "collision-output", "lanechange-output", "statistic-output")
+
+
+class SumoOutputs:
+    """Collects during the run what SUMO's files lack, and puts it in after SUMO's end.
+
+    Attributes:
+        warnings: files that could not be put right.
+    """
+
+    def __init__(self, scene: Scene, wanted: Container[str]) -> None:
+        """Call it while the simulation runs: SUMO is asked where it writes.
+
+        Args:
+            wanted: outputs that the user asked for; others are for our own use and vanish at the end.
+        """
+        self._scene, self._wanted = scene, wanted
+        self._path = {name: _path(scene.api, name) for name in OUTPUTS}
+        self._dated = scene.api.simulation.getOption("human-readable-time").lower() == "true"
+        self._precision = int(scene.api.simulation.getOption("precision"))
+        self._changes = LaneChanges(scene.session, scene.table, scene.types, scene.events)
+        self._watch = any(name in wanted for name in OUTPUTS if name != "collision-output")
+        self.warnings: list[str] = []
+
+    def update(self) -> None:
+        """After every step."""
+        if self._watch:
+            self._changes.update()
+
+    def settle(self) -> None:
+        """After SUMO closed its files: trips it ended on its own are marked, and the files put right."""
+        if self._dated:
+            self.warnings.append("human-readable-time: SUMO's own outputs are left as SUMO wrote them")
+            self._path = dict.fromkeys(self._path)
+        self._tripinfo()
+        self._lane_changes()
+        self._statistics(self._collisions())
+        for name, path in self._path.items():
+            if path is not None and name not in self._wanted:
+                path.unlink(missing_ok=True)
+
+    def _read(self, name: str) -> Any:
+        path = self._path[name]
+        if path is None:
+            return None
+        try:
+            return read_output(path)
+        except (OSError, etree.XMLSyntaxError):
+            self.warnings.append(
+                f"{name} {path}: not readable as XML, left as SUMO wrote it; name an .xml or .xml.gz file"
+            )
+            return None
+
+    def _write(self, name: str, tree: Any) -> None:
+        path = self._path[name]
+        assert path is not None
+        write_output(path, tree)
+
+    def _tripinfo(self) -> None:
+        tree = self._read("tripinfo-output")
+        if tree is None:
+            return
+        twice = self._counted_twice()
+        for element in tree.iterfind("tripinfo"):
+            vehicle = element.get("id")
+            self._mark_removed(element)
+            if vehicle in twice:
+                length = float(element.get("routeLength")) - twice[vehicle]
+                element.set("routeLength", self._number(length))
+        if twice:
+            self._write("tripinfo-output", tree)
+
+    def _mark_removed(self, element: Any) -> None:
+        """SUMO lists vehicles that calibrators, vaporizers or a user took out as arrived."""
+        how, vehicle = element.get("vaporized"), element.get("id")
+        trip = self._scene.trips.get(vehicle)
+        if trip is None or how in (None, "", "end") or trip.removed not in ("", REMOVED_BY_SUMO):
+            return
+        events = self._scene.events.events
+        reason = f"{REMOVED_BY_SUMO}: {how}"
+        known = next((e for e in events if e.kind == "removal" and e.vehicle == vehicle), None)
+        if known is None:
+            known = Event(float(element.get("arrival")), "removal", vehicle, type=trip.type)
+            known.lane, known.position = element.get("arrivalLane"), float(element.get("arrivalPos"))
+            known.speed = float(element.get("arrivalSpeed"))
+            events.append(known)
+            events.sort(key=lambda event: event.time)
+        known.reason = trip.removed = reason
+        trip.arrive, trip.seconds = math.nan, float(element.get("duration"))
+
+    def _counted_twice(self) -> dict[str, float]:
+        twice: dict[str, float] = defaultdict(float)
+        for change in self._changes.changes:
+            twice[change.vehicle] += change.counted_twice
+        return dict(twice)
+
+    def _lane_changes(self) -> None:
+        tree = self._read("lanechange-output")
+        if tree is not None and self._changes.changes:
+            merge_by_time(tree.getroot(), [self._change(change) for change in self._changes.changes])
+            self._write("lanechange-output", tree)
+
+    def _change(self, change: LaneChange) -> Any:
+        values = {
+            "id": change.vehicle,
+            "type": change.type,
+            "time": self._time(change.time),
+            "from": change.source,
+            "to": change.target,
+            "dir": str(change.direction),
+            "speed": self._number(change.speed),
+            "pos": self._number(change.position),
+            "reason": "traci",
+        }
+        for name in ("leader", "follower", "origLeader"):
+            gaps = change.gaps.get(name)
+            cells = [self._number(value) for value in gaps] if gaps else ["None"] * 3
+            values |= zip((f"{name}Gap", f"{name}SecureGap", f"{name}Speed"), cells, strict=True)
+        return etree.Element("change", values)
+
+    def _collisions(self) -> int | None:
+        """SUMO's collisions of its own vehicles with ours of the others; how many, None if not known."""
+        tree = self._read("collision-output")
+        if tree is None:
+            return None
+        root, turns = tree.getroot(), self._scene.events.turns()
+        ours = [event for event in self._scene.events.of("collision") if event.with_phase]
+        theirs = [
+            element
+            for element in root
+            if any(
+                under_policy(turns[element.get(role)], float(element.get("time")))
+                for role in ("collider", "victim")
+            )
+        ]
+        for element in theirs:
+            root.remove(element)
+        if ours or theirs:
+            merge_by_time(root, [self._collision(event) for event in ours])
+            self._write("collision-output", tree)
+        return len(root)
+
+    def _collision(self, event: Event) -> Any:
+        return etree.Element(
+            "collision",
+            {
+                "time": self._time(event.time),
+                "type": "collision",
+                "lane": event.lane,
+                "pos": self._number(event.position if event.lane else -1.0),
+                "collider": event.vehicle,
+                "victim": event.other,
+                "colliderType": event.type,
+                "victimType": event.other_type,
+                "colliderSpeed": self._number(event.speed),
+                "victimSpeed": self._number(event.other_speed),
+            },
+        )
+
+    def _statistics(self, collisions: int | None) -> None:
+        tree = self._read("statistic-output")
+        if tree is None:
+            return
+        if collisions is not None:
+            tree.find("safety").set("collisions", str(collisions))
+        trips, mean = self._scene.trips, tree.find("vehicleTripStatistics")
+        count = int(mean.get("count"))
+        running = self._scene.facts if count < len(trips) else {}  # those are not among its trips then
+        twice = {v: metres for v, metres in self._counted_twice().items() if v not in running}
+        if count:
+            length = float(mean.get("routeLength")) - sum(twice.values()) / count
+            faster = sum(metres / trips[v].seconds for v, metres in twice.items()) / count
+            mean.set("routeLength", self._number(length))
+            mean.set("speed", self._number(float(mean.get("speed")) - faster))
+        self._write("statistic-output", tree)
+
+    def _number(self, value: float) -> str:
+        return f"{value:.{self._precision}f}"
+
+    def _time(self, value: float) -> str:
+        return f"{value:.{min(max(self._precision, 2), 3)}f}"
+
+
+def _path(api: Any, option: str) -> Path | None:
+    """Where SUMO writes an output; None if it does not."""
+    value, prefix = (api.simulation.getOption(name) for name in (option, "output-prefix"))
+    return Path(value).with_name(prefix + Path(value).name) if value else None

@@ -1,0 +1,1 @@
+"""SUMO itself: its process, options, demand files and conventions."""
