@@ -107,9 +107,9 @@ class RewardConfig:
     progress_decay: float = 100.0  # m, psi(d) = exp(-d / progress_decay), choice
     goal_speed_tolerance: float = 2.0  # m/s within which w_s is 1, else 0.1, choice
     goal_yaw_tolerance: float = 0.1  # rad within which w_a is 1, else 0.1, choice
-    # Unit of ||g|| in the termination term: in metres a missed goal costs up to 8.3 * 130 = 1,080, three
-    # hundred goals; in kilometres it costs up to 1.1, beside w_f = 1.0 and w_e = 0.9.
-    distance_unit: float = 1000.0  # m, choice
+    # Unit of ||g|| in the termination term. Most goals are missed by a lane's width: in metres that costs 29,
+    # nine goals, in kilometres 0.03, nothing; so it costs 1.5, beside w_f = 1.0 and w_e = 0.9.
+    distance_unit: float = 20.0  # m, choice
 
 
 @dataclass(frozen=True)
@@ -187,12 +187,12 @@ class TrainConfig:
     network: Network = NetworkConfig()
     worlds: int = 77  # one for every (map, regime) tuple
     slots: int = 96  # agent slots per world
-    total_steps: int = 25_000_000  # agent steps
+    total_steps: int = 36_000_000  # agent steps
     rollout: int = 16  # steps per world and update
     minibatch: int = 1024
     epochs: int = 1
     learning_rate: float = 1e-3
-    final_learning_rate: float = 0.1  # share of it that is left at the end, after a linear decline
+    final_learning_rate: float = 0.05  # share of it that is left at the end, after an even decay
     gamma: float = 0.99
     gae_lambda: float = 0.95
     clip: float = 0.2  # epsilon

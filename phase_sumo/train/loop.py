@@ -185,7 +185,7 @@ class Trainer:
         self.env.rho = rho
         for group in self.optimiser.param_groups:
             share = min(self.steps / max(config.total_steps, 1), 1.0)
-            group["lr"] = config.learning_rate * (1.0 - (1.0 - config.final_learning_rate) * share)
+            group["lr"] = config.learning_rate * config.final_learning_rate**share
         start = time.process_time()
         rollout = collect(
             self.env,

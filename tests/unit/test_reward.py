@@ -63,7 +63,7 @@ def test_the_baseline_knows_goal_collision_and_road_edge_only(rho: float):
 
 def test_termination_costs_the_distance_left():
     assert terms(unrecoverable=True)["termination"] == pytest.approx(-8.3 * 90.0)
-    assert terms(RewardConfig(), unrecoverable=True)["termination"] == pytest.approx(-8.3 * 0.090)
+    assert terms(RewardConfig(), unrecoverable=True)["termination"] == pytest.approx(-8.3 * 90.0 / 20.0)
 
 
 def test_goal_reward_and_its_quality():
