@@ -122,7 +122,7 @@ def run_scenario(
             trajectories = recorder.finish() if recorder else None
         outputs.settle()
         report = fleet.report()
-        report["warnings"] += outputs.warnings
+        report["warnings"] += [*scenario.warnings, *outputs.warnings]
         rate = report["sim_seconds"] / wall if wall else math.nan
         result = {"scenario": str(scenario.path), **report, "wall_seconds": wall, "real_time_factor": rate}
         if output_dir:

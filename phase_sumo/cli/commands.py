@@ -13,6 +13,8 @@ from phase_sumo.cli.stop import stop_signals
 from phase_sumo.cli.train_view import train_view
 from phase_sumo.errors import PhaseError
 
+DEMO_MEASURES = ("mean_speed", "travel_time", "flow", "collisions_per_1000km", "lane_changes_per_km")
+
 
 def convert(args: argparse.Namespace) -> Any:
     from phase_sumo.bridge.maps import convert as converter
@@ -189,7 +191,7 @@ def demo(args: argparse.Namespace) -> Any:
         result = comparison.compare(
             DEMO, ("phase", "idm"), out_dir=args.out, seeds=[args.seed], progress=progress
         )
-    for name in ("mean_speed", "travel_time", "flow", "collisions", "lane_changes_per_km"):
+    for name in DEMO_MEASURES:
         means = {model: summary[name]["mean"] for model, summary in result["summary"].items()}
         print(f"{name:>20}: " + "  ".join(f"{model} {value:.2f}" for model, value in means.items()))
     phase = next(row for row in result["runs"] if row["model"] == "phase")

@@ -250,3 +250,15 @@ def test_town_roads_traffic_lights_and_rails_are_sumos(tmp_path):
     assert result["accounts"]["arrived"] == 3
     assert result["phase_arrived_under_policy"] == result["phase_vehicles"] == 1
     assert 0.1 < result["share_of_time_under_policy"] < 0.9
+
+
+def test_sublanes_without_internal_lanes(tmp_path):
+    """SUMO crashes there when a moved vehicle straddles two lanes over a junction."""
+    bare = tmp_path / "bare.net.xml"
+    netconvert = [sumolib.checkBinary("netconvert"), "-s", str(NETWORKS / "f04_onramp3.net.xml")]
+    subprocess.run([*netconvert, "--no-internal-links", "-o", str(bare)], check=True, capture_output=True)
+    result = drive(
+        tmp_path, FLOW.format(begin=0, end=20), options='<lateral-resolution value="0.8"/>', net=bare
+    )
+    assert any("lateral-resolution 0" in warning for warning in result["warnings"])
+    assert result["phase_arrived_under_policy"] > 3

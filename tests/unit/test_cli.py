@@ -95,3 +95,10 @@ import phase_sumo.train.loop, phase_sumo.evaluate.synthetic, phase_sumo.sim.bund
 def test_importing_the_package_does_not_import_torch():
     code = "import sys, phase_sumo, phase_sumo.cli; sys.exit('torch' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_demo_shows_measures_that_a_comparison_has():
+    from phase_sumo.bridge.comparison.compare import ALL_MEASURES
+    from phase_sumo.cli.commands import DEMO_MEASURES
+
+    assert set(DEMO_MEASURES) <= set(ALL_MEASURES)

@@ -21,7 +21,7 @@ def test_mixed_shares_drive_among_the_first_sumo_model():
 
 
 def test_without_a_sumo_model_the_scenarios_own_drives():
-    assert parse_models(["phase"]) == [Model("phase", 1.0, None)]
+    assert parse_models(["phase"]) == [Model("phase", None, None)]
 
 
 @pytest.mark.parametrize(

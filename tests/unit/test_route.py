@@ -5,9 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.fleet.goals import GOAL_BOUNDS, GoalPlanner
+from phase_sumo.bridge.fleet.curve_speed import BRAKING, FASTEST
+from phase_sumo.bridge.fleet.goals import GOAL_BOUNDS, MAX_BULGE, GoalPlanner
 from phase_sumo.bridge.fleet.road import Road
-from phase_sumo.bridge.fleet.route import ahead, follow_lanes, kept_stretch, remaining, route_lanes
+from phase_sumo.bridge.fleet.route import (
+    ahead,
+    curve_speed,
+    follow_lanes,
+    kept_stretch,
+    path,
+    remaining,
+    route_lanes,
+)
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 
@@ -164,3 +173,67 @@ def test_slow_leader_is_overtaken_on_the_left_when_there_is_room(road):
     assert goals(road, [("a", 50.0, W, 20.0, 25.0), slow, beside], route)[1] == pytest.approx(W)
     closing = ("c", 20.0, 2 * W, 35.0)
     assert goals(road, [("a", 50.0, W, 20.0, 25.0), slow, closing], route)[1] == pytest.approx(W)
+
+
+@pytest.fixture(scope="module")
+def bend():
+    """A lane with 200 m straight, a quarter of a circle of 80 m radius, and 200 m straight; and a fork.
+
+    From x = 150 on a second lane runs on straight, over the first one as far as that is straight.
+    """
+    turn = np.linspace(0.0, 0.5 * np.pi, 120)
+    arc = np.stack((200.0 + 80.0 * np.sin(turn), 80.0 * (1.0 - np.cos(turn))), -1)
+    curve = np.concatenate(([[150.0, 0.0]], arc, [[280.0, 280.0]]))
+    length = float(np.hypot(*np.diff(curve, axis=0).T).sum())
+    lanes = (
+        lane("in", 0, 0, 150),
+        Lane("turn_0", "turn", curve, W, 30.0, length),
+        lane("ahead", 0, 150, 600),
+    )
+    return Road(LaneNetwork("bend", lanes, ((0, 1), (0, 2))))
+
+
+def test_the_way_along_a_route_crosses_lanes(bend):
+    route = route_lanes(bend, ("in", "turn"), truck=False)
+    nodes = path(bend, route, int(bend.first[0]) + 140, 30.0)
+    assert len(nodes) == 31
+    assert bend.graph.node_lane[nodes].tolist() == [0] * 11 + [1] * 20
+    assert np.hypot(*np.diff(bend.graph.node_xy[nodes], axis=0).T).max() < 1.1
+
+
+def test_a_curve_draws_the_goal_near(bend):
+    x, y = goals(bend, [("a", 10.0, 0.0, 10.0, 20.0)], ("in", "turn"))
+    assert x == pytest.approx(130.0, abs=2.0)  # 6 s of target speed, all straight
+    x, y = goals(bend, [("a", 145.0, 0.0, 10.0, 20.0)], ("in", "turn"))
+    # 45 % of it: 60 % end 17 m into the arc, whose line lies more than MAX_BULGE beside the way
+    assert np.hypot(x - 145.0, y) == pytest.approx(54.0, abs=2.0)
+    assert MAX_BULGE < 55.0 * (17.0**2 / 160.0) / 72.0
+    x, y = goals(bend, [("a", 145.0, 0.0, 10.0, 20.0)], ("in", "ahead"))
+    assert (x, y) == pytest.approx((265.0, 0.0), abs=2.0)
+
+
+def test_a_vehicle_out_of_line_gets_a_near_goal(bend):
+    x, _ = goals(bend, [("a", 50.0, 1.2, 10.0, 20.0)], ("in", "ahead"))
+    assert x - 50.0 == pytest.approx(16.0, abs=1.5)
+
+
+def test_lanes_that_overlap_behind_a_fork(bend):
+    turn, straight = (np.array([False, k == 1, k == 2]) for k in (1, 2))
+    node = int(bend.first[1]) + 20
+    assert bend.graph.node_lane[bend.overlapping(node, 170.3, 0.5, straight)] == 2
+    assert bend.graph.node_lane[bend.overlapping(node, 170.3, 0.5, turn)] == 1
+    assert bend.overlapping(node, 230.0, 5.9, straight) == -1  # they have parted
+
+
+def test_curves_ahead_on_the_route_slow_down(bend):
+    node = np.array([bend.first[0] + 100])
+    car, truck = np.array([False]), np.array([True])
+    for edges, slow in ((("in", "turn"), True), (("in", "ahead"), False)):
+        leave = route_lanes(bend, edges, truck=False).exit_speed[bend.graph.node_lane[node]]
+        speed = float(curve_speed(bend, leave, node, car)[0])
+        expected = np.sqrt(3.0 * 80.0 + 2.0 * BRAKING * 105.0) if slow else FASTEST
+        assert speed == pytest.approx(expected, rel=0.02)
+    leave = route_lanes(bend, ("in", "turn"), truck=True).exit_speed[bend.graph.node_lane[node]]
+    assert curve_speed(bend, leave, node, truck)[0] == pytest.approx(
+        np.sqrt(160.0 + 2.0 * BRAKING * 105.0), rel=0.02
+    )

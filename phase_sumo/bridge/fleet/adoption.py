@@ -11,11 +11,12 @@ from phase_sumo.bridge.fleet.context import Parameters
 from phase_sumo.bridge.fleet.drivers import Drivers
 from phase_sumo.bridge.fleet.member import Member
 from phase_sumo.bridge.fleet.road import Road
-from phase_sumo.bridge.fleet.route import RouteLanes, kept_stretch, remaining
+from phase_sumo.bridge.fleet.route import RouteLanes, curve_speed, kept_stretch, remaining
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.errors import PhaseError
 
 ADOPT_ROOM = 150.0  # m of observed road ahead below which a vehicle is left to SUMO
+TOO_FAST = 4.0  # m/s above what the curves ahead allow with gentle braking
 SPEED_MODE, LANE_MODE = 96, 0  # SUMO checks nothing while we drive
 
 
@@ -81,6 +82,11 @@ class Adoption:
         if not edges or self._stops_on(vehicle, edges) or len(set(route)) < len(route):
             return None  # on a route that uses an edge twice, SUMO finds moved vehicles on the first lap
         lanes = self._lanes(edges, truck)
+        row, here = self._table.row_of[vehicle], np.array([node])
+        leave = lanes.exit_speed[self._road.graph.node_lane[here]]
+        fastest = curve_speed(self._road, leave, here, self._table["truck"][row : row + 1])
+        if self._table["speed"][row] > fastest + TOO_FAST:
+            return None  # SUMO's vehicles take any curve at any speed
         leads_off = at + len(edges) < len(route)
         if leads_off and remaining(self._road, lanes, node) < ADOPT_ROOM:
             return None

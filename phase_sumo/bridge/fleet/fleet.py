@@ -16,8 +16,15 @@ from phase_sumo.bridge.fleet.drivers import Drivers
 from phase_sumo.bridge.fleet.goals import GoalPlanner
 from phase_sumo.bridge.fleet.member import Member
 from phase_sumo.bridge.fleet.pose import PoseWriter
-from phase_sumo.bridge.fleet.road import FloatArray, IntArray, Road
-from phase_sumo.bridge.fleet.route import RouteLanes, follow_lanes, kept_stretch, remaining, route_lanes
+from phase_sumo.bridge.fleet.road import BoolArray, FloatArray, IntArray, Road
+from phase_sumo.bridge.fleet.route import (
+    RouteLanes,
+    curve_speed,
+    follow_lanes,
+    kept_stretch,
+    remaining,
+    route_lanes,
+)
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.fleet.speed_limits import SpeedLimits
 from phase_sumo.bridge.sumo.session import bare
@@ -175,10 +182,8 @@ class Fleet:
     def _check(self, time: float) -> None:
         """Keep the target speeds current; give back, reroute or take out where needed."""
         members, rows = list(self._members.items()), self._rows()
+        on_route = self._on_route([member for _, member in members], rows)
         node = self._node[rows]
-        lane = np.where(node >= 0, self._road.graph.node_lane[node], -1)
-        changes = np.array([m.route.changes[k] for (_, m), k in zip(members, lane, strict=True)])
-        on_route = (node >= 0) & np.isfinite(changes)
         kept = np.flatnonzero(on_route)
         self._set_target_speeds([members[k][1] for k in kept], rows[kept], node[kept])
         lane_id = self._lane_id
@@ -196,6 +201,20 @@ class Fleet:
             else:
                 member.lost_since = None
                 self._lost_route(vehicle, member)
+
+    def _on_route(self, members: list[Member], rows: IntArray) -> BoolArray:
+        """Whether each vehicle is on a lane of its route, or also on one, which then becomes its own."""
+        node = self._node[rows]
+        lane = np.where(node >= 0, self._road.graph.node_lane[node], -1)
+        changes = np.array([m.route.changes[k] for m, k in zip(members, lane, strict=True)])
+        on_route = (node >= 0) & np.isfinite(changes)
+        x, y = self._table.front
+        for k in np.flatnonzero((node >= 0) & ~on_route).tolist():
+            lanes, at = np.isfinite(members[k].route.changes), (float(x[rows[k]]), float(y[rows[k]]))
+            beside = self._road.overlapping(int(node[k]), *at, lanes)
+            if beside >= 0:
+                self._node[rows[k]], on_route[k] = beside, True
+        return on_route
 
     def _check_end(self, vehicle: str, member: Member, node: int) -> None:
         """Give back or take out a vehicle whose stretch of observed road ends."""
@@ -240,12 +259,15 @@ class Fleet:
         return self._routes[key]
 
     def _set_target_speeds(self, members: list[Member], rows: IntArray, node: IntArray) -> None:
+        """What the driver wants, or less where a curve ahead asks for it."""
+        road, lane = self._road, self._road.graph.node_lane[node]
         factor = np.array([m.speed_factor for m in members])
         highest = np.array([m.max_speed for m in members])
         wanted = np.array([m.target_speed or 0.0 for m in members])
-        limit = self._limits.values[self._road.graph.node_lane[node]]
-        speed = np.where(wanted > 0, wanted, np.minimum(limit * factor, highest))
-        self._table["goal_speed"][rows] = np.clip(speed, *TARGET_SPEEDS)
+        speed = np.where(wanted > 0, wanted, np.minimum(self._limits.values[lane] * factor, highest))
+        leave = np.array([m.route.exit_speed[k] for m, k in zip(members, lane, strict=True)])
+        slowest = np.minimum(speed, curve_speed(road, leave, node, self._table["truck"][rows]))
+        self._table["goal_speed"][rows] = np.clip(slowest, *TARGET_SPEEDS)
 
     def _past_end(self, node: IntArray, front_x: FloatArray, front_y: FloatArray) -> list[bool]:
         """Whether each member's new pose is past the end of the last lane of its route.

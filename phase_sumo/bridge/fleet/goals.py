@@ -10,9 +10,10 @@ The policy drives to a point; this module moves the point. Rules, in order:
 4. Otherwise it keeps its lane.
 
 The goal lies 6 s of target speed ahead, 40..150 m; for a change that the route needs it lies before the
-place where the lane leads astray, but never nearer than the 2.5 s of driving that a change takes. It is
-set anew when it is nearer than 1.2 s, or behind; decisions 1-3 are reviewed every second, and a change that
-has begun is kept until it is done or the goal is reached.
+place where the lane leads astray, but never nearer than the 2.5 s of driving that a change takes. On a curve
+it is drawn nearer, so that the straight line to it keeps to the lane, and nearest (1.6 s) for a vehicle that
+is out of line with its lane. It is set anew when it is nearer than 1.2 s, or behind; decisions 1-3 are
+reviewed every second, and a change that has begun is kept until it is done or the goal is reached.
 """
 
 from __future__ import annotations
@@ -21,16 +22,18 @@ from bisect import bisect_left
 
 import numpy as np
 
-from phase_sumo.bridge.fleet.road import Road
-from phase_sumo.bridge.fleet.route import Place, RouteLanes, ahead
+from phase_sumo.bridge.fleet.road import BoolArray, FloatArray, IntArray, Road
+from phase_sumo.bridge.fleet.route import Place, RouteLanes, ahead, path
 from phase_sumo.bridge.fleet.table import VehicleTable
 
 GOAL_TIME = 6.0  # s of target speed
 GOAL_BOUNDS = (40.0, 150.0)  # m
 REFRESH_TIME = 1.2  # s of driving, at least REFRESH_DISTANCE; nearer goals keep the policy straighter
 REFRESH_DISTANCE = 10.0  # m
-MAX_TURN = 0.7  # rad between the road here and at the goal
-SHORTER = (1.0, 0.8, 0.6, 0.45, 0.3, 0.2)  # shares of the length that are tried for it
+SHORTER = (1.0, 0.8, 0.6, 0.45, 0.3)  # shares of the length that are tried
+MAX_BULGE = 0.6  # m by which the way to the goal may lie beside the straight line: the policy cuts corners
+STRAY_TURN, STRAY_ASIDE = 0.12, 0.9  # rad and m off the lane's direction and centre: the goal is drawn near
+NEAREST_TIME = 1.6  # s of driving to the goal at least, or it would be set anew at once
 REVIEW = 1.0  # s between two looks at the lanes
 SHORTEST_CHANGE_TIME, SHORTEST_CHANGE = 2.5, 15.0  # s of driving and m that a change takes at least
 CHANGE_TIME = 12.0  # s of target speed per needed change
@@ -137,14 +140,33 @@ class GoalPlanner:
         if not due:
             return
         occupancy = Occupancy(self._road, table, node)
+        stray = self._stray(rows, node[rows])
         for k in due:
             row, vehicle = int(rows[k]), vehicles[k]
             reached = bool(near[k]) or not np.isfinite(review[k])  # or no goal yet
             self._review[vehicle] = time + REVIEW
-            self._plan(time, row, int(node[row]), routes[vehicle], occupancy, reached)
+            self._plan(time, row, int(node[row]), routes[vehicle], occupancy, reached, bool(stray[k]))
+
+    def _stray(self, rows: IntArray, node: IntArray) -> BoolArray:
+        """Whether vehicles are out of line with their lane, behind a kink or after swerving."""
+        graph = self._road.graph
+        x, y = (
+            at[rows] - middle for at, middle in zip(self._table.front, graph.node_xy[node].T, strict=True)
+        )
+        yaw = graph.node_yaw[node]
+        turn = np.remainder(self._table["yaw"][rows] - yaw + np.pi, 2 * np.pi) - np.pi
+        aside = y * np.cos(yaw) - x * np.sin(yaw)
+        return (np.abs(turn) > STRAY_TURN) | (np.abs(aside) > STRAY_ASIDE)
 
     def _plan(
-        self, time: float, row: int, node: int, route: RouteLanes, occupancy: Occupancy, reached: bool
+        self,
+        time: float,
+        row: int,
+        node: int,
+        route: RouteLanes,
+        occupancy: Occupancy,
+        reached: bool,
+        stray: bool,
     ) -> None:
         table, road = self._table, self._road
         vehicle = table.ids[row]
@@ -157,16 +179,17 @@ class GoalPlanner:
             del self._changing[vehicle]
             self._rested[vehicle] = time + REST
             reached = True
-        side = self._side(time, row, node, lane, route, occupancy, target)
+        side = self._side(time, row, node, lane, route, occupancy, target, stray)
         abreast = int((road.graph.left if side > 0 else road.graph.right)[node]) if side else -1
-        if abreast < 0 and not reached:
+        if abreast < 0 and not reached and not stray:
             return
         length = float(np.clip(GOAL_TIME * target, *GOAL_BOUNDS))
         if abreast >= 0:
             length = min(length, self._change_length(row, node, lane, route))
             self.changes_wanted += 1
             self._changing[vehicle] = (lane, time + GOAL_TIME)
-        self._set(row, self._place(route, abreast if abreast >= 0 else node, length))
+        start = abreast if abreast >= 0 else node
+        self._set(row, self._place(row, route, start, length, stray and abreast < 0))
 
     def _change_length(self, row: int, node: int, lane: int, route: RouteLanes) -> float:
         """m within which the change must be done: the room that is left, if that can be driven."""
@@ -174,15 +197,13 @@ class GoalPlanner:
         shortest = max(SHORTEST_CHANGE_TIME * float(self._table["speed"][row]), SHORTEST_CHANGE)
         return max(room / max(float(route.changes[lane]), 1.0), shortest)
 
-    def _place(self, route: RouteLanes, node: int, length: float) -> Place:
-        """The goal, drawn nearer on a tight ramp so that it stays in front of the vehicle."""
-        here = float(self._road.graph.node_yaw[node])
-        place = ahead(self._road, route, node, length)
-        for share in SHORTER:
-            place = ahead(self._road, route, node, max(share * length, SHORTEST_CHANGE))
-            if abs(np.remainder(place.yaw - here + np.pi, 2 * np.pi) - np.pi) <= MAX_TURN:
-                break
-        return place
+    def _place(self, row: int, route: RouteLanes, node: int, length: float, stray: bool) -> Place:
+        """The goal, drawn nearer on a curve so that the straight line to it keeps to the lane."""
+        nearest = max(NEAREST_TIME * float(self._table["speed"][row]), SHORTEST_CHANGE)
+        xy = self._road.graph.node_xy[path(self._road, route, node, length)].astype(np.float64)
+        lengths = [share * length for share in SHORTER if share * length > nearest and not stray]
+        straight = (s for s in lengths if _bulge(xy[: round(s) + 1]) <= MAX_BULGE)
+        return ahead(self._road, route, node, next(straight, nearest))
 
     def _set(self, row: int, place: Place) -> None:
         table = self._table
@@ -197,13 +218,14 @@ class GoalPlanner:
         route: RouteLanes,
         occupancy: Occupancy,
         target: float,
+        stray: bool,
     ) -> int:
         """+1 to the left, -1 to the right, 0 to stay."""
         needed = float(route.changes[lane])
         left_room = float(route.room[lane]) - self._road.offset(node)
         if needed > 0 and np.isfinite(needed) and left_room < needed * max(CHANGE_TIME * target, CHANGE_ROOM):
             return int(route.side[lane])
-        if time < self._rested.get(self._table.ids[row], -np.inf):
+        if stray or time < self._rested.get(self._table.ids[row], -np.inf):
             return 0
         leader = occupancy.leader(route, node, row, LEADER_TIME * target)
         slow = leader is not None and float(self._table["speed"][leader[0]]) < target - SLOWER
@@ -252,3 +274,10 @@ class GoalPlanner:
         closing = max(speed - float(table["speed"][row]), 0.0)
         gap = distance - occupancy.length(row)
         return gap > GAP_MIN + GAP_BEHIND * speed * 0.5 + 3.0 * closing
+
+
+def _bulge(xy: FloatArray) -> float:
+    """Largest distance in m of the points [n, 2] of a way from the straight line between its ends."""
+    along = xy[-1] - xy[0]
+    aside = (xy[:, 0] - xy[0, 0]) * along[1] - (xy[:, 1] - xy[0, 1]) * along[0]
+    return float(np.abs(aside).max() / max(np.hypot(*along), 1e-6))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_sumo.bridge.fleet.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, lane_speeds
 from phase_sumo.bridge.maps.road_lines import road_lines
 from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
@@ -12,9 +13,11 @@ from phase_sumo.sim.near import pairs_within
 from phase_sumo.sim.road_build import build_road_map
 
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 MATCH_RADIUS = 6.0  # m, farther from any lane centre is off the road
 MATCH_YAW = np.radians(75.0)
+OVERLAP = 2.0  # m between the centres of two lanes up to which a vehicle may be counted on either
 REMATCH = 2.6  # m from the tracked node, from where on the whole graph is searched
 YAW_COST = 4.0  # m per rad when nodes compete in a search of the whole graph
 
@@ -28,6 +31,7 @@ class Road:
         metres: [L] geometric length.
         edges: ids of the edges that PHASE may drive on, at first all whose lanes are kept.
         following, preceding: lanes after and before each lane.
+        curve_speed: [2, V] m/s for the curves ahead in the lane, of cars and of trucks.
     """
 
     def __init__(self, network: LaneNetwork) -> None:
@@ -44,6 +48,7 @@ class Road:
             self.following[a].append(b)
             self.preceding[b].append(a)
         self._step = self._neighbourhood()
+        self.curve_speed = np.stack([lane_speeds(self.graph, force) for force in (SIDEWAYS, SIDEWAYS_TRUCK)])
 
     def offset(self, node: int) -> int:
         """Metres (nodes) from the start of the node's lane."""
@@ -79,6 +84,24 @@ class Road:
                 here[lost] >= 0, self._distance(np.maximum(here[lost], 0), at[lost]), np.inf
             )
         return here, best
+
+    def overlapping(self, node: int, x: float, y: float, lanes: BoolArray) -> int:
+        """The nearest node on one of some ``lanes`` [L] that overlap here with a vehicle's own.
+
+        Behind a fork two lanes run on over each other for a while, and tracking may have followed either.
+
+        Args:
+            node: where tracking saw it.
+
+        Returns:
+            -1 where there is none.
+        """
+        _, near = pairs_within(np.array([[x, y]]), self.graph.node_xy, OVERLAP)
+        turn = self.graph.node_yaw[near] - self.graph.node_yaw[node]
+        near = near[lanes[self.graph.node_lane[near]] & (np.cos(turn) > np.cos(MATCH_YAW))]
+        if not len(near):
+            return -1
+        return int(near[np.hypot(*(self.graph.node_xy[near] - (x, y)).T).argmin()])
 
     def _distance(self, node: IntArray, at: FloatArray) -> FloatArray:
         return np.hypot(*(self.graph.node_xy[node] - at).T).astype(np.float64)

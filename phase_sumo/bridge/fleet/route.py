@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_sumo.bridge.fleet.road import Road
+from phase_sumo.bridge.fleet.curve_speed import braked_to, exit_speeds
+from phase_sumo.bridge.fleet.road import BoolArray, Road
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -25,6 +26,7 @@ class RouteLanes:
         changes: lane changes needed from this lane to the end of the route, inf off the route.
         room: m from the lane's start that can be driven without any change, inf when none is needed.
         onward: lane to take at the lane's end, -1 where the route or the lane ends.
+        exit_speed: m/s at the lane's end for the curves that follow.
         side: +1 when the lane to the left needs fewer changes, -1 for the right, 0 for neither.
     """
 
@@ -32,6 +34,7 @@ class RouteLanes:
     room: FloatArray
     onward: IntArray
     side: IntArray
+    exit_speed: FloatArray
 
 
 @dataclass(frozen=True)
@@ -76,14 +79,19 @@ def route_lanes(road: Road, edges: Sequence[str], truck: bool) -> RouteLanes:
         for i in here:
             _extend(road, i, changes, room, onward)
         _sideways(road, here, changes, side)
-    return RouteLanes(changes, room, onward, side)
+    return RouteLanes(changes, room, onward, side, _exit_speeds(road, onward, truck))
 
 
 def follow_lanes(road: Road) -> RouteLanes:
     """Stay in lane, take the first way on: for a vehicle that has lost its route."""
     size = len(road.network.lanes)
     onward = np.array([f[0] if f else -1 for f in road.following], np.int64).reshape(-1)
-    return RouteLanes(np.zeros(size), np.full(size, np.inf), onward, np.zeros(size, np.int64))
+    speed = _exit_speeds(road, onward, truck=True)
+    return RouteLanes(np.zeros(size), np.full(size, np.inf), onward, np.zeros(size, np.int64), speed)
+
+
+def _exit_speeds(road: Road, onward: IntArray, truck: bool) -> FloatArray:
+    return exit_speeds(road.curve_speed[int(truck), road.first], road.metres, onward)
 
 
 def _extend(road: Road, i: int, changes: FloatArray, room: FloatArray, onward: IntArray) -> None:
@@ -136,6 +144,32 @@ def ahead(road: Road, route: RouteLanes, node: int, distance: float) -> Place:
     at = int(road.first[lane] + min(max(round(target), 0), road.count[lane] - 1))
     x, y, yaw = (float(v) for v in (*graph.node_xy[at], graph.node_yaw[at]))
     return Place(x + beyond * np.cos(yaw), y + beyond * np.sin(yaw), yaw, lane)
+
+
+def curve_speed(road: Road, leave: FloatArray, node: IntArray, truck: BoolArray) -> FloatArray:
+    """[n] m/s at which nodes may be passed for the curves ahead.
+
+    Args:
+        leave: [n] `RouteLanes.exit_speed` of the nodes' lanes.
+        truck: [n].
+    """
+    lane = road.graph.node_lane[node]
+    left = (road.first + road.count)[lane] - 1 - node  # nodes, which are about 1 m apart
+    within = road.curve_speed[truck.astype(np.int64), node]
+    return np.minimum(within, braked_to(leave, left.astype(np.float64)))
+
+
+def path(road: Road, route: RouteLanes, node: int, length: float) -> IntArray:
+    """Nodes along the route from ``node`` over ``length`` m, or to the end of the last lane."""
+    lane, parts, wanted = int(road.graph.node_lane[node]), [], round(length) + 1
+    start = node
+    while wanted > 0 and lane >= 0:
+        end = min(int(road.first[lane] + road.count[lane]), start + wanted)
+        parts.append(np.arange(start, end))
+        wanted -= end - start
+        lane = int(route.onward[lane])
+        start = int(road.first[lane])
+    return np.concatenate(parts)
 
 
 def remaining(road: Road, route: RouteLanes, node: int) -> float:

@@ -79,7 +79,7 @@ def rewrite_files(
     additional = tuple(_rewrite(p, folder, start + i, wanted, marks) for i, p in enumerate(additional_files))
     if wanted.model:
         defined = any(
-            _mentions(p, ('"DEFAULT_VEHTYPE"',)) and _defines_default(p) for p in (*routes, *additional)
+            mentions(p, ('"DEFAULT_VEHTYPE"',)) and _defines_default(p) for p in (*routes, *additional)
         )
         if not defined:
             additional = (_default_types(folder, wanted.model), *additional)
@@ -101,7 +101,7 @@ def empty_settings(folder: Path) -> Path:
 
 
 def _rewrite(path: Path, folder: Path, number: int, wanted: Rewrite, marks: tuple[str, ...]) -> Path:
-    if not (wanted.model or wanted.output_dir) or not _mentions(path, marks):
+    if not (wanted.model or wanted.output_dir) or not mentions(path, marks):
         return path
     tree = _parse(path)
     changed = False
@@ -161,7 +161,7 @@ def _parse(path: Path) -> etree._ElementTree:
         return etree.parse(file, etree.XMLParser(huge_tree=True, remove_comments=True))
 
 
-def _mentions(path: Path, marks: tuple[str, ...]) -> bool:
+def mentions(path: Path, marks: tuple[str, ...]) -> bool:
     wanted = [m.encode() for m in marks]
     return any(mark in block for block in _blocks(path) for mark in wanted)
 

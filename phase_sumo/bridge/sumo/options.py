@@ -12,7 +12,7 @@ from typing import Any
 
 from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 
-from phase_sumo.bridge.sumo.demand import Rewrite, empty_settings, redirect, rewrite_files
+from phase_sumo.bridge.sumo.demand import Rewrite, empty_settings, mentions, redirect, rewrite_files
 from phase_sumo.errors import PhaseError
 
 # Names that SUMO takes for the same option
@@ -32,6 +32,11 @@ FORCED = {
 }
 SUMO_OPTIONS = tuple(text for name, value in FORCED.items() for text in (f"--{name}", value))
 FORCED_IF_SET = {"time-to-teleport.highways": "-1", "time-to-teleport.disconnected": "-1"}
+INTERNAL = 'function="internal"'  # lanes inside junctions, in a network file
+NO_SUBLANES = (
+    "{}: has no internal lanes, where SUMO's sublane model crashes once vehicles are moved: run with "
+    "lateral-resolution 0"
+)
 # Ours unless the user's own options say otherwise
 QUIET = {
     "verbose": "false",
@@ -58,6 +63,7 @@ class SumoScenario:
         net: network file.
         route_files, additional_files: in order.
         begin, end, step_length: s; end is None when the scenario has none.
+        warnings: what is done otherwise than the scenario says, and why.
     """
 
     path: Path
@@ -69,6 +75,7 @@ class SumoScenario:
     begin: float
     end: float | None
     step_length: float
+    warnings: tuple[str, ...] = ()
 
     def value(self, name: str, default: str = "") -> str:
         return self.user.get(name, self.config.get(name, default))
@@ -97,17 +104,20 @@ def read_scenario(path: str | Path, sumo_options: list[str] | tuple[str, ...] = 
 
     if not files("net-file"):
         raise PhaseError(f'{path}: no net-file; add <net-file value="..."/> or pass -- -n FILE')
+    net = files("net-file")[0]
     end = _seconds(path, "end", merged.get("end", "-1"))
+    sublanes = float(merged.get("lateral-resolution", "0") or 0) > 0 and not mentions(net, (INTERNAL,))
     return SumoScenario(
         path=path,
         config=config,
         user=user,
-        net=files("net-file")[0],
+        net=net,
         route_files=files("route-files"),
         additional_files=files("additional-files"),
         begin=_seconds(path, "begin", merged.get("begin", "0")),
         end=end if end >= 0 else None,
         step_length=_seconds(path, "step-length", merged.get("step-length", "1")),
+        warnings=(NO_SUBLANES.format(net),) if sublanes else (),
     )
 
 
@@ -126,6 +136,8 @@ def check_options(api: Any) -> None:
             f"SUMO runs with collision.action={option('collision.action')}: it would move PHASE vehicles "
             f"that touch; start it with {needed}"
         )
+    if float(option("lateral-resolution")) > 0 and not any(e.startswith(":") for e in api.edge.getIDList()):
+        raise PhaseError(NO_SUBLANES.format(option("net-file")).replace(": run with ", "; start it with --"))
     for name, below in (
         ("time-to-teleport", 0.0),
         ("time-to-teleport.highways", 0.0),
@@ -160,6 +172,8 @@ def command(
     options = {k: v for k, v in QUIET.items() if k not in scenario.user}
     options |= {k: v for k, v in FORCED_IF_SET.items() if k in scenario.config}
     options |= FORCED
+    if scenario.warnings:
+        options["lateral-resolution"] = "0"
     if seed is not None:
         options["seed"] = str(seed)
         options["random"] = "false"

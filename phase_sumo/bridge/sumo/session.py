@@ -91,10 +91,15 @@ class Session:
 
                 self._api = libsumo
                 libsumo.start([binary, *args])
+            simulation = Simulation(self._api, self._reason)
         except Exception as error:
             raise PhaseError(f"SUMO did not start: {self._reason(error)}") from None
+        except BaseException:  # Ctrl-C while SUMO reads its network: its outputs are open already
+            with suppress(Exception):
+                self._api.close()
+            raise
         _running = True
-        return Simulation(self._api, self._reason)
+        return simulation
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -1,0 +1,81 @@
+"""How fast the curves ahead can be driven: SUMO's limits say nothing of them, nor do its own cars care.
+
+On the way to a slower place s m ahead, v^2 = v_place^2 + 2 b s with b = `BRAKING`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_sumo.sim.lane_graph import LaneGraph
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+WINDOW = 6  # m before and behind a node over which its road turns: a kink is driven as an arc of that length
+SIDEWAYS, SIDEWAYS_TRUCK = 3.0, 2.0  # m/s^2 in a curve
+BRAKING = 1.2  # m/s^2 on the way to it
+FASTEST = 40.0  # m/s, of all vehicles
+
+
+def braked_to(speed: FloatArray, metres: FloatArray) -> FloatArray:
+    """The speed from which ``speed`` m/s is reached in ``metres``, up to `FASTEST`."""
+    return np.minimum(np.sqrt(speed * speed + 2.0 * BRAKING * metres), FASTEST)
+
+
+def lane_speeds(graph: LaneGraph, sideways: float) -> FloatArray:
+    """The speed at each node with which no curve ahead in its lane asks for more than ``sideways`` m/s^2.
+
+    v_c = sqrt(sideways / |kappa|) in the curve, kappa the turn of the road over `WINDOW` m to either side.
+
+    Returns:
+        [V] m/s, up to `FASTEST`.
+    """
+    speed = np.minimum(np.sqrt(sideways / np.maximum(_curvature(graph), 1e-6)), FASTEST)
+    node = np.arange(len(speed))
+    following = np.minimum(node + 1, graph.lane_end)  # a lane's nodes are numbered in driving direction
+    gap = np.hypot(*(graph.node_xy[node] - graph.node_xy[following]).astype(np.float64).T)
+    while True:
+        slowed = np.minimum(speed, np.where(following > node, braked_to(speed[following], gap), FASTEST))
+        if np.array_equal(slowed, speed):
+            return speed
+        speed = slowed
+
+
+def exit_speeds(first: FloatArray, metres: FloatArray, onward: IntArray) -> FloatArray:
+    """The speed at each lane's end that the way on allows.
+
+    Args:
+        first: [L] m/s at the lanes' first nodes, see `lane_speeds`.
+        metres: [L] length.
+        onward: [L] lane that follows, -1 for none.
+
+    Returns:
+        [L] m/s.
+    """
+    speed = np.full(len(first), FASTEST)
+    while True:
+        enter = np.minimum(first, braked_to(speed, metres))
+        slowed = np.where(onward >= 0, enter[onward], FASTEST)
+        if np.array_equal(slowed, speed):
+            return speed
+        speed = slowed
+
+
+def _curvature(graph: LaneGraph) -> FloatArray:
+    """[V] |turn| in 1/m between the nodes `WINDOW` m before and behind, or as far as the road goes."""
+    ahead = graph.successor[:, 0].astype(np.int64)
+    behind = np.full(len(ahead), -1)
+    for successor in graph.successor.T[::-1]:
+        behind[successor[successor >= 0]] = np.flatnonzero(successor >= 0)
+    first, last = _walk(behind), _walk(ahead)
+    turn = np.abs(np.remainder(graph.node_yaw[last] - graph.node_yaw[first] + np.pi, 2 * np.pi) - np.pi)
+    return turn / (2.0 * WINDOW)
+
+
+def _walk(following: IntArray) -> IntArray:
+    """[V] where `WINDOW` steps lead from every node, or the end of the road before that."""
+    at = np.arange(len(following))
+    for _ in range(WINDOW):
+        at = np.where(following[at] >= 0, following[at], at)
+    return at
