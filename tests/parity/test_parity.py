@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from phase_sumo.bridge.fleet import adoption
 from phase_sumo.bridge.fleet.choice import Choice
 from phase_sumo.bridge.fleet.table import STATE
 from phase_sumo.bridge.maps.network import read_network
@@ -93,8 +94,9 @@ def test_a_difference_would_be_seen(tmp_path):
         same_states(replay, next(s for s in kept.steps if s.decisions == 1), kept, decision.ids)
 
 
-def test_collisions_and_road_edges(tmp_path):
+def test_collisions_and_road_edges(tmp_path, monkeypatch):
     """Who touches whom, when, and at whose fault; and who touches the road edge."""
+    monkeypatch.setattr(adoption, "TOO_FAST", np.inf)  # reckless ones are meant to be PHASE's from the start
     network, driver = read_network(NETWORKS / "f12_scurve2.net.xml"), Standin(reckless=True)
     cfg = write_scenario(tmp_path, "f12_scurve2", RECKLESS_SCENE)
     kept = record(cfg, network, driver, until=7.0, choice=Choice(alpha=0.8))
