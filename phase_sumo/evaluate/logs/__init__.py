@@ -1,0 +1,1 @@
+"""Recorded traffic: one interface, `recording.Recording`, and a reader for each format."""
