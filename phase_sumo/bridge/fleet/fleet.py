@@ -125,7 +125,7 @@ class Fleet:
         self._locate()
         self._adopt()
         for vehicle in [v for v in self._members if v in self._released]:
-            self._hand_back(vehicle, self._members[vehicle])
+            self._hand_back(vehicle, self._members[vehicle], "released")
         self._released.clear()
         self._check(time)
         self._watch_road_edge(time)
@@ -222,7 +222,7 @@ class Fleet:
         connector = self._road.network.lanes[int(self._road.graph.node_lane[node])].connector
         speed = self._table["speed"][self._table.row_of[vehicle]]
         if member.leads_off and room < HAND_BACK_ROOM and not connector:
-            self._hand_back(vehicle, member)
+            self._hand_back(vehicle, member, "the observed road ends")
         elif not member.edges and room < 2.0 + speed * self._scene.session.step_length:
             self._remove(vehicle, "wrong exit")
 
@@ -296,9 +296,9 @@ class Fleet:
         self._scene.trips[vehicle].finished = True
         self._release(vehicle, member)
 
-    def _hand_back(self, vehicle: str, member: Member) -> None:
+    def _hand_back(self, vehicle: str, member: Member, reason: str) -> None:
         api = self._api.vehicle
-        self._scene.events.record("hand-back", vehicle, "the observed road ends")
+        self._scene.events.record("hand-back", vehicle, reason)
         lane = api.getLaneID(vehicle)
         if lane and not lane.startswith(":"):
             api.moveTo(vehicle, lane, api.getLanePosition(vehicle))

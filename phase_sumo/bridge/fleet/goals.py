@@ -136,16 +136,16 @@ class GoalPlanner:
         near = distance < np.maximum(REFRESH_TIME * table["speed"][rows], REFRESH_DISTANCE)
         vehicles = [table.ids[row] for row in rows.tolist()]
         review = np.array([self._review.get(vehicle, -np.inf) for vehicle in vehicles])
-        due = np.flatnonzero(near | (time >= review - 1e-6)).tolist()
-        if not due:
+        due = np.flatnonzero(near | (time >= review - 1e-6))
+        if not len(due):
             return
         occupancy = Occupancy(self._road, table, node)
-        stray = self._stray(rows, node[rows])
-        for k in due:
+        stray = self._stray(rows[due], node[rows[due]])
+        for k, astray in zip(due.tolist(), stray.tolist(), strict=True):
             row, vehicle = int(rows[k]), vehicles[k]
             reached = bool(near[k]) or not np.isfinite(review[k])  # or no goal yet
             self._review[vehicle] = time + REVIEW
-            self._plan(time, row, int(node[row]), routes[vehicle], occupancy, reached, bool(stray[k]))
+            self._plan(time, row, int(node[row]), routes[vehicle], occupancy, reached, astray)
 
     def _stray(self, rows: IntArray, node: IntArray) -> BoolArray:
         """Whether vehicles are out of line with their lane, behind a kink or after swerving."""
