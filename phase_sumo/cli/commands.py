@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from phase_sumo.cli.files import DEMO, HELD_OUT, find_files, load_maps, progress_bar
+from phase_sumo.cli.files import DEMO, HELD_OUT, find_files, held_out_maps, load_maps, progress_bar
 from phase_sumo.cli.stop import stop_signals
 from phase_sumo.cli.train_view import train_view
 from phase_sumo.errors import PhaseError
@@ -101,12 +101,15 @@ def evaluate(args: argparse.Namespace) -> Any:
     from phase_sumo.evaluate.synthetic import RATES, evaluate_synthetic
     from phase_sumo.policy.checkpoint import load_policy
 
+    if "synthetic:benchmark" in args.scenarios:
+        return _benchmark(args)
     sources = []
     for source in args.scenarios:
         kind, _, path = source.partition(":")
         if kind != "synthetic" or not path:
             raise PhaseError(
-                f"scenario source {source!r} is not known; use synthetic:PATH of networks or map bundles"
+                f"scenario source {source!r} is not known; use synthetic:benchmark, or synthetic:PATH of "
+                "networks or map bundles"
             )
         sources.append(path)
     policy = load_policy(args.policy)
@@ -129,6 +132,44 @@ def evaluate(args: argparse.Namespace) -> Any:
     for name, rates in groups.items():
         print(f"{name:>18}" + "".join(f"{100 * rates[rate]:>16.1f}%" for rate in RATES))
     return result
+
+
+def _benchmark(args: argparse.Namespace) -> Any:
+    from phase_sumo.config import ActionConfig
+    from phase_sumo.evaluate.benchmark import RATES, load_benchmark, run_benchmark
+    from phase_sumo.evaluate.fixed_worlds import idle_driver, policy_driver, prior_driver
+    from phase_sumo.policy.checkpoint import load_policy
+
+    if len(args.scenarios) > 1:
+        raise PhaseError("synthetic:benchmark is a result of its own; evaluate the other sources apart")
+    benchmark, policy = load_benchmark(held_out_maps()), load_policy(args.policy)
+    drivers = {"policy": (policy_driver(policy), policy.actions)}
+    if args.references:
+        actions = ActionConfig()
+        drivers |= {
+            "constant-velocity": (idle_driver(actions), actions),
+            "prior": (prior_driver(actions), actions),
+        }
+    results = {}
+    for name, (driver, actions) in drivers.items():
+        with progress_bar("evaluate") as progress:
+            results[name] = run_benchmark(
+                benchmark,
+                driver,
+                actions,
+                args.seed,
+                args.greedy,
+                args.worlds,
+                lambda share, name=name, progress=progress: progress(share, name),
+            )
+        result = results[name]
+        print(f"{name}: {result['agents']} agents in {result['scenarios']} scenarios")
+        print(f"{'':>18}" + "".join(f"{rate.removesuffix('_rate'):>24}" for rate in RATES))
+        for group, values in {"all": result, **result["by_regime"], **result["by_type"]}.items():
+            cells = [values[rate] for rate in RATES]
+            texts = [f"{100 * c['mean']:.1f}% ({100 * c['low']:.1f}..{100 * c['high']:.1f})" for c in cells]
+            print(f"{group:>18}" + "".join(f"{text:>24}" for text in texts))
+    return {**results.pop("policy"), "references": results}
 
 
 def run(args: argparse.Namespace) -> Any:

@@ -104,7 +104,14 @@ def make_parser() -> argparse.ArgumentParser:
     sub = add("evaluate", commands.evaluate, "goal, collision and road-edge rates of a policy")
     sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
     sub.add_argument(
-        "--scenarios", nargs="+", required=True, metavar="SRC", help="synthetic:PATH of networks"
+        "--scenarios",
+        nargs="+",
+        required=True,
+        metavar="SRC",
+        help="synthetic:benchmark (fixed worlds), or synthetic:PATH of networks",
+    )
+    sub.add_argument(
+        "--references", action="store_true", help="constant velocity and random actions beside it (benchmark)"
     )
     sub.add_argument("--worlds", type=int, default=64, help="worlds side by side")
     sub.add_argument("--episodes", type=int, default=4, help="episodes of 9.1 s per world")
