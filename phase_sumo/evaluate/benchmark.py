@@ -53,6 +53,11 @@ class Benchmark:
     regime: Tensor
     road_map: RoadMap
 
+    def of_regime(self, name: str) -> Start:
+        """The worlds of one traffic regime."""
+        index = [regime.name for regime in SCENARIOS.regimes].index(name)
+        return self.start.map(lambda values: values[self.regime == index])
+
 
 def sample_worlds(maps: Sequence[MapBundle], seed: int) -> tuple[Start, Tensor]:
     """Worlds for every map and regime: how ``benchmark.npz`` was made, once."""
