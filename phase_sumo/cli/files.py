@@ -74,6 +74,15 @@ def write_json(path: Path, result: Any) -> None:
         ) from None
 
 
+def held_out_maps() -> list[Any]:
+    """The maps of the public benchmark, converted now."""
+    if not HELD_OUT.is_dir():
+        raise PhaseError(
+            f"{HELD_OUT}: the benchmark's networks come with a clone of the project; run it from one"
+        )
+    return load_maps([str(HELD_OUT)], None)
+
+
 @contextmanager
 def progress_bar(title: str, show: bool = True) -> Iterator[Progress]:
     """A progress bar on stderr, gone when done; nothing where there is no terminal to draw on."""

@@ -104,11 +104,53 @@ def make_parser() -> argparse.ArgumentParser:
     sub = add("evaluate", commands.evaluate, "goal, collision and road-edge rates of a policy")
     sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
     sub.add_argument(
-        "--scenarios", nargs="+", required=True, metavar="SRC", help="synthetic:PATH of networks"
+        "--scenarios",
+        nargs="+",
+        required=True,
+        metavar="SRC",
+        help="synthetic:benchmark (fixed worlds), or synthetic:PATH of networks",
+    )
+    sub.add_argument(
+        "--references", action="store_true", help="constant velocity and random actions beside it (benchmark)"
     )
     sub.add_argument("--worlds", type=int, default=64, help="worlds side by side")
     sub.add_argument("--episodes", type=int, default=4, help="episodes of 9.1 s per world")
     sub.add_argument("--greedy", action="store_true", help="most probable actions instead of sampled ones")
+
+    sub = add("steer", commands.steer, "how far outcomes follow alpha, target speed, vehicle type and goal")
+    sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
+    sub.add_argument(
+        "--regime",
+        default="moderate",
+        choices=["jammed", "dense", "moderate", "free"],
+        help="traffic of the benchmark's worlds that are driven",
+    )
+    sub.add_argument("--worlds", type=int, default=24, help="at most this many of them")
+    sub.add_argument("--out", required=True, metavar="DIR", help="folder for steering.csv and steering.png")
+
+    sub = add(
+        "search",
+        commands.search,
+        "find a near-miss or a cut-in by context alone, as a SUMO scenario to replay",
+    )
+    sub.add_argument("cfg", metavar="CFG.sumocfg", help="scenario that the scene is a moment of")
+    sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
+    sub.add_argument("--time", type=float, default=40.0, metavar="S", help="the moment")
+    sub.add_argument("--around", metavar="ID", help="vehicle in the middle; where most are if left out")
+    sub.add_argument("--radius", type=float, default=80.0, metavar="METRES", help="of the scene")
+    sub.add_argument(
+        "--criterion",
+        choices=["near-miss", "cut-in"],
+        default="near-miss",
+        help="least time to collision, or least time gap behind a lane change",
+    )
+    sub.add_argument("--vary", type=int, default=4, metavar="N", help="vehicles whose context is searched")
+    sub.add_argument("--seconds", type=float, default=12.0, help="length of the scenario")
+    sub.add_argument("--budget", type=int, default=96, metavar="N", help="runs")
+    sub.add_argument("--contact", action="store_true", help="allow runs with collisions")
+    sub.add_argument(
+        "--out", required=True, metavar="DIR", help="folder of the scenario, which takes its name"
+    )
 
     for name, command, text in (
         ("run", commands.run, "run a SUMO scenario with PHASE vehicles; SUMO's own options go behind --"),

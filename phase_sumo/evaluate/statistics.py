@@ -1,4 +1,4 @@
-"""Confidence intervals over seeds and for counts, without a statistics package."""
+"""Confidence intervals over seeds, worlds and for counts, without a statistics package."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 CONFIDENCE = 0.95
+RESAMPLES = 10_000  # of a bootstrap
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,21 @@ def mean_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Estimate
 def paired_difference(values: ArrayLike, reference: ArrayLike, confidence: float = CONFIDENCE) -> Estimate:
     """`mean_interval` of value - reference, pair by pair: runs of one seed share demand and driver draws."""
     return mean_interval(np.asarray(values, np.float64) - np.asarray(reference, np.float64), confidence)
+
+
+def bootstrap_mean(values: ArrayLike, confidence: float = CONFIDENCE) -> Estimate:
+    """Percentile bootstrap (Efron 1979) of the mean of independent units, worlds say; the same every time.
+
+    Values that are not finite are left out; one value has no interval.
+    """
+    kept = np.asarray(values, np.float64)
+    kept = kept[np.isfinite(kept)]
+    n = len(kept)
+    if n < 2:
+        return mean_interval(kept, confidence)
+    drawn = np.random.default_rng(0).integers(n, size=(RESAMPLES, n))
+    low, high = np.quantile(kept[drawn].mean(1), [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
+    return Estimate(float(kept.mean()), float(low), float(high), n)
 
 
 def t_quantile(p: float, freedom: int) -> float:

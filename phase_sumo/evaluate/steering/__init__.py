@@ -1,0 +1,1 @@
+"""How far outcomes follow the context that vehicles are given."""
