@@ -111,3 +111,25 @@ def _root(rising: Callable[[float], float], low: float, high: float) -> float:
             break
         low, high = (low, middle) if rising(middle) > 0.0 else (middle, high)
     return 0.5 * (low + high)
+
+
+def bootstrap_by(values: ArrayLike, groups: ArrayLike, confidence: float = CONFIDENCE) -> Estimate:
+    """Percentile bootstrap of a mean whose values come in groups, scenarios of recordings say.
+
+    Whole groups are drawn with replacement (cluster bootstrap, Davison & Hinkley 1997, section 3.8), since
+    the values of one group are alike. Values that are not finite are left out; one group has no interval.
+    ``n`` counts the groups.
+    """
+    values = np.asarray(values, np.float64)
+    known = np.isfinite(values)
+    if not known.any():
+        return Estimate(math.nan, math.nan, math.nan, 0)
+    _, group = np.unique(np.asarray(groups)[known], return_inverse=True)
+    total, count = np.bincount(group, values[known]), np.bincount(group)
+    n, mean = len(count), float(values[known].mean())
+    if n == 1:
+        return Estimate(mean, math.nan, math.nan, 1)
+    drawn = np.random.default_rng(0).integers(n, size=(RESAMPLES, n))
+    means = total[drawn].sum(1) / count[drawn].sum(1)
+    low, high = np.quantile(means, [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
+    return Estimate(mean, float(low), float(high), n)

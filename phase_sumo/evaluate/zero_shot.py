@@ -1,0 +1,224 @@
+"""The paper's zero-shot protocol: recorded scenes driven anew, and what became of every vehicle.
+
+Vehicles start as recorded and are asked to the place where the record, or the window, ends. Their target
+speed is the recorded one at that place; alpha is drawn at random. A vehicle leaves the scene at its goal,
+or once its goal lies behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from phase_sumo.config import ScenarioConfig, SimConfig
+from phase_sumo.errors import PhaseError
+from phase_sumo.evaluate.fixed_worlds import Start, drive, policy_driver
+from phase_sumo.evaluate.logs.recording import PERIOD, Window
+from phase_sumo.evaluate.logs.vehicles import poses, shape
+from phase_sumo.policy.checkpoint import Policy
+from phase_sumo.sim.events import goal_behind, goal_reached
+from phase_sumo.sim.road_map import RoadMap
+from phase_sumo.sim.vehicles import HISTORY, Task, VehicleShape, VehicleState
+
+SHORTEST = 10  # samples: a vehicle that leaves within a second is left out
+PAST = 5  # samples before the window that acceleration and steering angle are read from
+STEEPEST = 3.0  # m/s^2 sideways: more is no turn but noise of the recorded yaw
+LOOK = {"length": 4.9, "wheelbase": 2.94}  # of empty slots: the model divides by the wheelbase
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Recorded or driven motion of the reference points, all [W, N, T + 1]; NaN where there is none."""
+
+    x: Tensor
+    y: Tensor
+    yaw: Tensor
+    hitch: Tensor
+    speed: Tensor
+
+    def state(self, t: int) -> VehicleState:
+        """As the simulator's state, zero where there is no pose."""
+        x, y, yaw, hitch, speed = (
+            getattr(self, name)[..., t].nan_to_num() for name in ("x", "y", "yaw", "hitch", "speed")
+        )
+        none = torch.zeros_like(x)
+        history = none.unsqueeze(-1).expand(*x.shape, HISTORY)
+        return VehicleState(x, y, yaw, speed, none, none, hitch, history, history)
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """W recorded windows as worlds of up to N agents and T steps.
+
+    Attributes:
+        windows: where each is from; some agents of a window may have been left out.
+        agents: [W] rows of the recording that the slots of each world hold, in order.
+        start: initial states, tasks and shapes.
+        log: what was recorded.
+        road_map: of all recordings; ``start.map_index`` tells which.
+    """
+
+    windows: tuple[Window, ...]
+    agents: tuple[NDArray[np.int64], ...]
+    start: Start
+    log: Poses
+    road_map: RoadMap
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One step of all worlds: states before and after it, and who took part, [W, N]."""
+
+    before: VehicleState
+    after: VehicleState
+    active: Tensor
+
+
+def scenes(windows: Sequence[Window], roads: Sequence[str], road_map: RoadMap, seed: int) -> Scenes:
+    """Recorded windows as worlds to drive.
+
+    Args:
+        roads: names of the networks that ``road_map`` holds, in its order.
+        seed: of alpha, uniform within the bounds of training.
+
+    Raises:
+        PhaseError: there is no window with an agent.
+    """
+    agents = [w.agents[w.last - w.begin >= SHORTEST] for w in windows]
+    kept = [k for k, rows in enumerate(agents) if len(rows)]
+    if not kept:
+        raise PhaseError(
+            "the recordings hold no scenario: no window in which a vehicle changes lanes; "
+            "pass --all-windows, or recordings with lane changes"
+        )
+    windows, agents = [windows[k] for k in kept], [agents[k] for k in kept]
+    slots, steps = max(map(len, agents)), max(w.steps for w in windows)
+    size = len(windows), slots
+    log = _log(windows, agents, slots, steps)
+    active = torch.zeros(size, dtype=torch.bool)
+    shapes = {name: torch.zeros(size) for name in VehicleShape.__dataclass_fields__}
+    shapes["truck"] = torch.zeros(size, dtype=torch.bool)
+    for name, value in LOOK.items():
+        shapes[name] += value
+    for k, (window, rows) in enumerate(zip(windows, agents, strict=True)):
+        active[k, : len(rows)] = True
+        own = shape(window.recording, rows)
+        for name, values in shapes.items():
+            values[k, : len(rows)] = getattr(own, name)[0]
+    body = VehicleShape(**shapes)
+    index = torch.tensor([roads.index(w.recording.network.name) for w in windows])
+    start = Start(
+        body,
+        _initial(log, windows, agents, body),
+        _task(log, seed),
+        active,
+        index,
+        torch.arange(len(windows)),
+    )
+    return Scenes(tuple(windows), tuple(agents), start, log, road_map)
+
+
+def _log(
+    windows: Sequence[Window], agents: Sequence[NDArray[np.int64]], slots: int, steps: int
+) -> Poses:
+    columns = torch.full((5, len(windows), slots, steps + 1), torch.nan)
+    for k, (window, rows) in enumerate(zip(windows, agents, strict=True)):
+        samples = np.arange(window.begin, window.begin + window.steps + 1)
+        speed = window.recording.speed[rows][:, samples]
+        own = np.stack((*poses(window.recording, rows, samples), speed))
+        last = window.last[np.searchsorted(window.agents, rows)]
+        own[:, samples > last[:, None]] = np.nan  # what comes back after a break is another matter
+        columns[:, k, : len(rows), : window.steps + 1] = torch.from_numpy(own).float()
+    return Poses(*columns)
+
+
+def _initial(
+    log: Poses, windows: Sequence[Window], agents: Sequence[NDArray[np.int64]], body: VehicleShape
+) -> VehicleState:
+    """States at the windows' begin; what came before, if it was recorded, tells how they move."""
+    accel, turn = torch.zeros_like(body.length), torch.zeros_like(body.length)
+    for k, (window, rows) in enumerate(zip(windows, agents, strict=True)):
+        now, before = window.begin, max(window.begin - PAST, 0)
+        seconds = (now - before) * PERIOD
+        if not seconds or not len(rows):
+            continue
+        recording = window.recording
+        known = recording.present[rows, before : now + 1].all(1)
+        change = [values[rows, now] - values[rows, before] for values in (recording.speed, recording.yaw)]
+        change[1] = np.remainder(change[1] + np.pi, 2 * np.pi) - np.pi
+        for target, values in zip((accel, turn), change, strict=True):
+            target[k, : len(rows)] = torch.from_numpy(np.where(known, values / seconds, 0.0)).float()
+    sim, state = SimConfig(), log.state(0)
+    speed = state.speed.clamp(0.0, sim.max_speed)
+    turn = torch.where((turn * speed).abs() < STEEPEST, turn, 0.0)
+    steer = torch.atan(body.wheelbase * turn / speed.clamp_min(sim.min_speed))
+    return replace(
+        state,
+        speed=speed,
+        accel=accel.clamp(*sim.truck_accel_bounds),
+        steer=steer,
+        accel_history=torch.zeros_like(state.accel_history),
+        steer_history=steer.unsqueeze(-1).repeat(1, 1, HISTORY),
+    )
+
+
+def _task(log: Poses, seed: int) -> Task:
+    """To the last recorded pose, at its speed."""
+    last = (~log.x.isnan()).sum(-1, keepdim=True).clamp_min(1) - 1
+    x, y, yaw, speed = (
+        getattr(log, name).gather(-1, last).squeeze(-1).nan_to_num() for name in ("x", "y", "yaw", "speed")
+    )
+    low, high = ScenarioConfig().alpha_bounds
+    alpha = low + (high - low) * torch.rand(x.shape, generator=torch.Generator().manual_seed(seed))
+    return Task(x, y, yaw, speed.clamp(0.0, SimConfig().max_speed), alpha)
+
+
+def driven(found: Scenes, policy: Policy, seed: int, greedy: bool = False) -> Iterator[Frame]:
+    """The scenes under the policy, all vehicles at once."""
+    sim = replace(policy.sim, horizon=found.log.x.shape[-1] - 1)
+    ends = torch.tensor([w.steps for w in found.windows])
+    driver = policy_driver(policy)
+    for t, step in enumerate(drive(found.start, found.road_map, driver, sim, policy.actions, seed, greedy)):
+        running = (ends > t).unsqueeze(-1)
+        yield Frame(step.before.state, step.after.state, step.before.active & running)
+
+
+def replayed(found: Scenes, motion: Poses) -> Iterator[Frame]:
+    """The scenes as ``motion`` has them; who reaches or misses the goal leaves as under the policy."""
+    active, radius = found.start.active, SimConfig().goal_radius
+    for t in range(motion.x.shape[-1] - 1):
+        there = ~(motion.x[..., t].isnan() | motion.x[..., t + 1].isnan())
+        active = active & there
+        before, after = motion.state(t), motion.state(t + 1)
+        yield Frame(before, after, active)
+        reached = goal_reached(before, after, found.start.task, radius)
+        active = active & ~reached & ~goal_behind(after, found.start.task)
+
+
+def constant_velocity(found: Scenes) -> Poses:
+    """Straight on at the initial speed, as long as the window is."""
+    first = found.start.state
+    steps = found.log.x.shape[-1]
+    seconds = PERIOD * torch.arange(steps)
+    ends = torch.tensor([w.steps for w in found.windows])
+    there = found.start.active.unsqueeze(-1) & (torch.arange(steps) <= ends.view(-1, 1, 1))
+
+    def spread(values: Tensor) -> Tensor:
+        return torch.where(there, values, torch.nan)
+
+    def still(values: Tensor) -> Tensor:
+        return spread(values.unsqueeze(-1).expand(*values.shape, steps))
+
+    way = first.speed.unsqueeze(-1) * seconds
+    return Poses(
+        spread(first.x.unsqueeze(-1) + way * torch.cos(first.yaw).unsqueeze(-1)),
+        spread(first.y.unsqueeze(-1) + way * torch.sin(first.yaw).unsqueeze(-1)),
+        still(first.yaw),
+        still(first.hitch),
+        still(first.speed),
+    )
