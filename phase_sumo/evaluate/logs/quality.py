@@ -33,19 +33,28 @@ FLAGS = {
     "stands": f"does not move {RESTING:g} m in all",
     "brief": f"seen for less than {BRIEF:g} s",
 }
+TOGETHER = 500  # samples looked at together
 # medians outside of these are no road traffic but another unit
 LENGTHS = 2.5, 14.0  # m
 SPEEDS = 0.8, 1.25  # recorded speed over that of the positions
+ON_ROAD = 0.5  # of all positions: fewer on its lanes, and it is another road
 
 
 def finished(recording: Recording, path: Path) -> Recording:
     """The recording with `FLAGS` on its tracks: the last step of every reader.
 
     Raises:
-        PhaseError: lengths or speeds suggest other units than metres and seconds.
+        PhaseError: lengths or speeds suggest other units than metres and seconds, or most vehicles are beside
+            the road.
     """
     _check_units(recording, path)
     places = lane_places(recording)
+    on_road = float((places.lane >= 0)[recording.present].mean())
+    if on_road < ON_ROAD:
+        raise PhaseError(
+            f"{path}: {recording.name}: {1 - on_road:.0%} of the positions are beside the lanes of "
+            f"{recording.network.name}; pass the map of this place, in the coordinates of the log"
+        )
     found = {
         "breaks": _breaks(recording),
         "overlaps": _overlaps(recording),
@@ -109,37 +118,25 @@ def _overlaps(recording: Recording) -> NDArray[np.bool_]:
     reach = 0.5 * np.hypot(recording.length, recording.width)
     # long vehicles are few: pairs of others need not be looked for as far as theirs
     usual = float(np.quantile(reach, 0.9))
-    for t in np.flatnonzero(recording.present.sum(0) > 1):
-        here = np.flatnonzero(recording.present[:, t])
-        xy = np.stack((recording.x[here, t], recording.y[here, t]), -1)
-        long = np.flatnonzero(reach[here] > usual)
-        pairs = (
-            pairs_within(xy, xy, 2.0 * usual),
-            pairs_within(xy[long], xy, float(reach[here].max() + reach[here][long].max(initial=0.0))),
-        )
-        a = np.concatenate((pairs[0][0], long[pairs[1][0]]))
-        b = np.concatenate((pairs[0][1], pairs[1][1]))
-        a, b = here[a[a != b]], here[b[a != b]]
-        hit = boxes_overlap(_boxes(recording, a, t), _boxes(recording, b, t)).numpy()
-        result[a[hit]] = result[b[hit]] = True
+    x, y = recording.x, recording.y
+    apart = float(np.nanmax(x) - np.nanmin(x)) + 4.0 * float(reach.max())
+    for begin in range(0, x.shape[1], TOGETHER):
+        vehicle, sample = np.nonzero(recording.present[:, begin : begin + TOGETHER])
+        if not len(vehicle):
+            continue
+        # one place per time, so that vehicles only meet those of the same time
+        xy = np.stack((x[vehicle, begin + sample] + apart * sample, y[vehicle, begin + sample]), -1)
+        long = np.flatnonzero(reach[vehicle] > usual)
+        pairs = pairs_within(xy, xy, 2.0 * usual)
+        more = pairs_within(xy[long], xy, 2.0 * float(reach.max()))
+        a, b = np.concatenate((pairs[0], long[more[0]])), np.concatenate((pairs[1], more[1]))
+        a, b = a[a != b], b[a != b]
+        yaw = recording.yaw[vehicle, begin + sample]
+        sizes = 0.5 * recording.length[vehicle], 0.5 * recording.width[vehicle]
+        boxes = torch.from_numpy(np.stack((*xy.T, np.cos(yaw), np.sin(yaw), *sizes)))
+        hit = boxes_overlap(boxes[:, a], boxes[:, b]).numpy()
+        result[vehicle[a[hit]]] = result[vehicle[b[hit]]] = True
     return result
-
-
-def _boxes(recording: Recording, rows: NDArray[np.int64], t: int) -> torch.Tensor:
-    """[6, P] as in `phase_sumo.sim.geometry`."""
-    yaw = recording.yaw[rows, t]
-    return torch.from_numpy(
-        np.stack(
-            (
-                recording.x[rows, t],
-                recording.y[rows, t],
-                np.cos(yaw),
-                np.sin(yaw),
-                0.5 * recording.length[rows],
-                0.5 * recording.width[rows],
-            )
-        )
-    )
 
 
 def _jumps(recording: Recording) -> NDArray[np.bool_]:
@@ -147,11 +144,11 @@ def _jumps(recording: Recording) -> NDArray[np.bool_]:
     moved = np.hypot(np.diff(recording.x, axis=1), np.diff(recording.y, axis=1)) / PERIOD
     off = np.abs(moved - 0.5 * (speed[:, 1:] + speed[:, :-1])) > STEP
     hard = np.abs(speed[:, step:] - speed[:, :-step]) > HARDEST * step * PERIOD
-    return (speed > FASTEST).any(1) | off.any(1) | hard.any(1)
+    return np.asarray((speed > FASTEST).any(1) | off.any(1) | hard.any(1))
 
 
 def _against(recording: Recording, places: LanePlaces) -> NDArray[np.bool_]:
-    return (np.cos(recording.yaw - places.yaw) < 0.0).any(1)
+    return np.asarray((np.cos(recording.yaw - places.yaw) < 0.0).any(1))
 
 
 def _stands(recording: Recording) -> NDArray[np.bool_]:
@@ -160,4 +157,4 @@ def _stands(recording: Recording) -> NDArray[np.bool_]:
     def extent(values: FloatArray) -> FloatArray:
         return np.where(present, values, -np.inf).max(1) - np.where(present, values, np.inf).min(1)
 
-    return np.hypot(extent(recording.x), extent(recording.y)) < RESTING
+    return np.asarray(np.hypot(extent(recording.x), extent(recording.y)) < RESTING)

@@ -30,7 +30,7 @@ class Recording:
         speed: [V, T] m/s, >= 0.
         length, width: [V] of that box in m.
         kind: [V] vehicle type; articulated where class and length say so.
-        flags: [V] what is wrong with each track, by the names of `windows.FLAGS`; empty where nothing is.
+        flags: [V] what is wrong with each track, by the names of `quality.FLAGS`; empty where nothing is.
     """
 
     name: str

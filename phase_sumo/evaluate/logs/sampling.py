@@ -1,4 +1,4 @@
-"""Samples of tracks at any rate -> arrays of vehicles x time at the simulator's step, and motion along them."""
+"""Tracks sampled at any rate -> arrays of vehicles x time at the simulator's step, and motion along them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Grid:
     values: FloatArray
 
 
-def on_grid(path: Path, vehicle: IntArray, time: FloatArray, values: FloatArray) -> Grid:
+def on_grid(path: Path, vehicle: IntArray, time: FloatArray, values: FloatArray, count: int) -> Grid:
     """Interpolate samples linearly at multiples of `PERIOD` from the first one of all.
 
     Gaps within a track stay: the vehicle is absent there.
@@ -38,6 +38,7 @@ def on_grid(path: Path, vehicle: IntArray, time: FloatArray, values: FloatArray)
         vehicle: [S] row of each sample's vehicle, 0..V-1.
         time: [S] s.
         values: [C, S].
+        count: V.
 
     Raises:
         PhaseError: a vehicle has two samples at one time, or they are more than `SLOWEST` apart.
@@ -72,8 +73,8 @@ def on_grid(path: Path, vehicle: IntArray, time: FloatArray, values: FloatArray)
     gap = time[after] - time[before]
     share = np.clip((sample * PERIOD - time[before]) / np.maximum(gap, 1e-9), 0.0, 1.0)
     known = (gap <= LOST * max(usual, PERIOD)) | (share < 1e-3) | (share > 1.0 - 1e-3)
-    row, sample, before, after, share = (a[known] for a in (row, sample, before, after, share))
-    size = int(vehicle[-1]) + 1, int(sample.max(initial=0)) + 1
+    row, sample, share, before, after = row[known], sample[known], share[known], before[known], after[known]
+    size = count, int(sample.max(initial=0)) + 1
     present = np.zeros(size, np.bool_)
     number = vehicle[first][row]
     present[number, sample] = True
@@ -93,7 +94,7 @@ def runs(present: NDArray[np.bool_]) -> tuple[IntArray, IntArray, IntArray]:
 
 
 def chords(x: FloatArray, y: FloatArray, present: NDArray[np.bool_], span: int) -> FloatArray:
-    """[3, V, T] dx, dy in m and time in s between the samples ``span`` before and after each, or fewer.
+    """[3, V, T] dx, dy in m and seconds between the samples ``span`` before and after each, or fewer.
 
     Pieces of tracks end where the vehicle is absent; the chord of a single sample is 0 s long.
     """

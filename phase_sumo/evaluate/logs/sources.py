@@ -7,35 +7,43 @@ from pathlib import Path
 
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.logs.commonroad import read_commonroad
+from phase_sumo.evaluate.logs.exid import ExidRoads, RoadReader, read_exid
+from phase_sumo.evaluate.logs.highd import read_highd
+from phase_sumo.evaluate.logs.levelx import drone_files
+from phase_sumo.evaluate.logs.ngsim import read_ngsim
 from phase_sumo.evaluate.logs.recording import Recording
 from phase_sumo.evaluate.logs.tracks import read_tracks
-from phase_sumo.sim.lanes import LaneNetwork
 
-Reader = Callable[[Path, "LaneNetwork | None"], list[Recording]]
+# path of the log, path of a map or None, what reads maps or None
+Reader = Callable[[Path, "Path | None", "RoadReader | None"], list[Recording]]
 
 
-def open_source(text: str, network: LaneNetwork | None = None) -> list[Recording]:
-    """All recordings of a source such as ``tracks:FILE`` or ``commonroad:DIR``.
+def open_source(text: str, road: RoadReader | None = None) -> list[Recording]:
+    """All recordings of a source: ``KIND:PATH`` or ``KIND:PATH@MAP``.
 
     Args:
-        text: kind, colon, file or folder.
-        network: the road, for kinds that come without one; others use their own.
+        text: kind, one of `READERS`; file or folder; and for the kinds that take one (tracks, exid) a map
+            file. exiD's own maps are found without it.
+        road: reads map files, which nothing here can; the bridge's ``maps.lanelet2.read_road`` does.
 
     Raises:
         PhaseError: no such kind or path, or a file in it is damaged.
     """
-    kind, colon, place = text.partition(":")
+    kind, colon, rest = text.partition(":")
     if not colon or kind not in READERS:
         raise PhaseError(
             f"{text}: no such source of recordings; pass {', '.join(f'{k}:PATH' for k in READERS)}"
         )
-    path = Path(place)
-    if not place or not path.exists():
-        raise PhaseError(f"{text}: no such file or folder {place!r}; pass an existing one")
-    return READERS[kind](path, network)
+    place, _, map_place = rest.partition("@")
+    path, map_path = Path(place), Path(map_place) if map_place else None
+    for asked, name in ((path, place), (map_path, map_place)):
+        if asked is not None and not (name and asked.exists()):
+            raise PhaseError(f"{text}: no such file or folder {name!r}; pass an existing one")
+    return READERS[kind](path, map_path, road)
 
 
-def _commonroad(path: Path, network: LaneNetwork | None) -> list[Recording]:
+def _commonroad(path: Path, map_path: Path | None, road: RoadReader | None) -> list[Recording]:
+    _without_map("commonroad", map_path)
     if not path.is_dir():
         return [read_commonroad(path)]
     files = sorted(p for p in path.iterdir() if p.suffix in (".xml", ".pb"))
@@ -44,10 +52,45 @@ def _commonroad(path: Path, network: LaneNetwork | None) -> list[Recording]:
     return [read_commonroad(file) for file in files]
 
 
-def _tracks(path: Path, network: LaneNetwork | None) -> list[Recording]:
+def _exid(path: Path, map_path: Path | None, road: RoadReader | None) -> list[Recording]:
+    if road is None:
+        raise PhaseError(f"exid:{path}: the road is in a map file; pass what reads those")
+    files = drone_files(path)
+    roads = ExidRoads(map_path or (path if path.is_dir() else path.parent), road)
+    return [read_exid(file, roads) for file in files]
+
+
+def _highd(path: Path, map_path: Path | None, road: RoadReader | None) -> list[Recording]:
+    _without_map("highd", map_path)
+    return [read_highd(file) for file in drone_files(path)]
+
+
+def _ngsim(path: Path, map_path: Path | None, road: RoadReader | None) -> list[Recording]:
+    _without_map("ngsim", map_path)
+    return read_ngsim(_one_file(path))
+
+
+def _tracks(path: Path, map_path: Path | None, road: RoadReader | None) -> list[Recording]:
+    if map_path is not None and road is None:
+        raise PhaseError(f"tracks:{path}@{map_path}: pass what reads map files")
+    return read_tracks(_one_file(path), None if map_path is None or road is None else road(map_path, None))
+
+
+def _one_file(path: Path) -> Path:
     if path.is_dir():
-        raise PhaseError(f"{path}: is a folder; pass one CSV file of tracks")
-    return read_tracks(path, network)
+        raise PhaseError(f"{path}: is a folder; pass one file of tracks")
+    return path
 
 
-READERS: dict[str, Reader] = {"commonroad": _commonroad, "tracks": _tracks}
+def _without_map(kind: str, map_path: Path | None) -> None:
+    if map_path is not None:
+        raise PhaseError(f"{kind}:…@{map_path}: this kind brings its own road; leave out @{map_path}")
+
+
+READERS: dict[str, Reader] = {
+    "commonroad": _commonroad,
+    "exid": _exid,
+    "highd": _highd,
+    "ngsim": _ngsim,
+    "tracks": _tracks,
+}

@@ -15,29 +15,42 @@ COMMA, NEWLINE = ord(","), ord("\n")
 
 
 class Table:
-    """Chosen columns of a CSV file with a header line; no quoted fields.
+    """Chosen columns of a CSV file with a header line; no quoted fields. Capitals in names do not matter.
 
     Args:
         path: the file.
         required: names of columns that must be there.
         optional: names of columns that are read where they are there.
+        names: columns of a file without header whose fields are separated by blanks, if it is one.
 
     Raises:
         PhaseError: there is no such file, it is empty, a column is missing or a line has too many or too few
             fields.
     """
 
-    def __init__(self, path: str | Path, required: Sequence[str], optional: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        required: Sequence[str],
+        optional: Sequence[str] = (),
+        names: Sequence[str] = (),
+    ) -> None:
         self.path = Path(path)
-        self.header = _header(self.path)
-        missing = [name for name in required if name not in self.header]
+        first = _first_line(self.path)
+        blanks = bool(names) and "," not in first
+        header = list(names) if blanks else [name.strip().strip('"') for name in first.split(",")]
+        place = {name.lower(): k for k, name in enumerate(header)}
+        missing = [name for name in required if name.lower() not in place]
         if missing:
             raise PhaseError(
                 f"{path}: no column {', '.join(missing)}; it needs {', '.join(required)} and has "
-                f"{', '.join(self.header)}"
+                f"{', '.join(header)}"
             )
-        wanted = [name for name in (*required, *optional) if name in self.header]
-        pieces = list(_pieces(self.path, len(self.header), [self.header.index(name) for name in wanted]))
+        wanted = [name for name in (*required, *optional) if name.lower() in place]
+        self._first = 1 if blanks else 2
+        pieces = list(
+            _pieces(self.path, len(header), [place[name.lower()] for name in wanted], self._first, blanks)
+        )
         if not pieces:
             raise PhaseError(f"{path}: no line below its header; pass a file with tracks")
         self._columns = {name: np.concatenate([p[k] for p in pieces]) for k, name in enumerate(wanted)}
@@ -65,9 +78,10 @@ class Table:
             values = np.array([_number(v) for v in column])
         if not np.isfinite(values).all():
             row = int(np.flatnonzero(~np.isfinite(values))[0])
+            found = column[row].decode(errors="replace")
             raise PhaseError(
-                f"{self.path}: line {row + 2}: {name} = {column[row].decode(errors='replace')!r}, expected a "
-                "number; mend or remove the line"
+                f"{self.path}: line {row + self._first}: {name} = {found!r}, expected a number; mend or "
+                "remove the line"
             )
         return values
 
@@ -83,7 +97,7 @@ def _number(value: bytes) -> float:
         return np.nan
 
 
-def _header(path: Path) -> list[str]:
+def _first_line(path: Path) -> str:
     try:
         with path.open("rb") as file:
             line = file.readline(1 << 16)
@@ -91,29 +105,33 @@ def _header(path: Path) -> list[str]:
         raise PhaseError(f"{path}: cannot be read ({error.strerror}); pass an existing file") from None
     if not line.strip():
         raise PhaseError(f"{path}: empty file; pass a file with a header line and tracks")
-    return [name.strip().strip('"') for name in line.decode("utf-8-sig", errors="replace").split(",")]
+    return line.decode("utf-8-sig", errors="replace").strip()
 
 
-def _pieces(path: Path, width: int, columns: list[int]) -> Iterator[list[NDArray[np.bytes_]]]:
-    """Columns of some thousands of lines at a time, as bytes."""
+def _pieces(
+    path: Path, width: int, columns: list[int], line: int, blanks: bool
+) -> Iterator[list[NDArray[np.bytes_]]]:
+    """Columns of some thousands of lines at a time, as bytes; ``line`` is the number of the first."""
     with path.open("rb") as file:
-        file.readline()
-        rest, line = b"", 2
-        while block := file.read(PIECE):
-            whole, newline, rest = (rest + block).rpartition(b"\n")
-            if newline:
-                piece = _columns(path, whole + b"\n", width, columns, line)
+        for _ in range(1, line):
+            file.readline()
+        rest = b""
+        while True:
+            block = file.read(PIECE)
+            whole, _, rest = (rest + block).rpartition(b"\n") if block else (rest, b"", b"")
+            if whole.strip():
+                text = whole.replace(b"\r", b"").strip(b"\n") + b"\n"
+                if blanks:
+                    text = b"".join(b",".join(row.split()) + b"\n" for row in text.splitlines())
+                piece = _columns(path, text, width, columns, line)
                 line += len(piece[0])
                 yield piece
-        if rest.strip():
-            yield _columns(path, rest + b"\n", width, columns, line)
+            if not block:
+                return
 
 
 def _columns(path: Path, text: bytes, width: int, columns: list[int], line: int) -> list[NDArray[np.bytes_]]:
     """Whole lines cut at the separators, all of which are found at once."""
-    if b"\r" in text:
-        text = text.replace(b"\r", b"")
-    text = text.strip(b"\n") + b"\n"
     raw = np.frombuffer(text, np.uint8)
     ends = np.flatnonzero((raw == COMMA) | (raw == NEWLINE))
     lines = np.flatnonzero(raw[ends] == NEWLINE)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.logs.kinds import kind_of
 from phase_sumo.evaluate.logs.quality import finished
-from phase_sumo.evaluate.logs.recording import Recording
+from phase_sumo.evaluate.logs.recording import Kind, Recording
 from phase_sumo.evaluate.logs.roads import Carriageway, straight_road
 from phase_sumo.evaluate.logs.sampling import on_grid, path_speed, path_yaw
 from phase_sumo.evaluate.logs.table import Table
@@ -86,7 +86,7 @@ def _recording(
 
     rear = "x_rear_m" in table and "x_m" not in table
     mirrored = network is None and "direction" in table and bool((column("direction") < 0).all())
-    ids, vehicle = np.unique(table.text("id")[mask], return_inverse=True)
+    count, vehicle = _numbered(table.text("id")[mask])
     x, y, sizes = column("x_rear_m" if rear else "x_m"), column("y_m"), column("length_m")
     y = -y if mirrored else y
     if network is None:
@@ -99,10 +99,12 @@ def _recording(
         columns += [np.cos(yaw), np.sin(-yaw if mirrored else yaw)]
     if "v_mps" in table:
         columns.append(column("v_mps"))
-    grid = on_grid(path, vehicle, column("t"), np.stack(columns))
+    grid = on_grid(path, vehicle, column("t"), np.stack(columns), count)
     first = np.unique(vehicle, return_index=True)[1]
     length = sizes[first]
-    kinds = tuple(kind_of(a, b) for a, b in zip(length, _classes(table, mask)[first], strict=True))
+    kinds: tuple[Kind, ...] = tuple(
+        kind_of(a, b) for a, b in zip(length, _classes(table, mask)[first], strict=True)
+    )
     default = np.where(np.array(kinds) == "car", CAR_WIDTH, TRUCK_WIDTH)
     xs, ys = grid.values[0], grid.values[1]
     if "yaw_rad" in table:
@@ -125,10 +127,16 @@ def _recording(
             length=length,
             width=column("width_m")[first] if "width_m" in table else default,
             kind=kinds,
-            flags=(frozenset(),) * len(ids),
+            flags=(frozenset(),) * count,
         ),
         path,
     )
+
+
+def _numbered(names: NDArray[np.str_]) -> tuple[int, NDArray[np.int64]]:
+    """How many different names there are, and [rows] numbers for them in the order in which they appear."""
+    _, first, index = np.unique(names, return_index=True, return_inverse=True)
+    return len(first), np.argsort(np.argsort(first))[index]
 
 
 def _classes(table: Table, mask: NDArray[np.bool_]) -> NDArray[np.str_]:

@@ -45,7 +45,7 @@ def poses(
 
     The box's front bumper and direction are those of the car, rigid truck or tractor. The trailer is drawn
     along the recorded path: over the `HISTORY` that there is, its axle follows the hitch at a constant
-    distance (a tractrix, the exact solution of the hitch equation); at the path's begin it is in line.
+    distance (a tractrix, which solves the hitch equation); at the path's begin it is in line.
 
     Returns:
         x, y in m, yaw and hitch angle in rad, each [N, S]; NaN where absent.
@@ -84,13 +84,21 @@ def _sizes(recording: Recording, rows: IntArray) -> dict[str, FloatArray]:
 
 
 def _hitch(x: FloatArray, y: FloatArray, yaw: FloatArray, base: FloatArray) -> FloatArray:
-    """[M, S] hitch angles along paths of the hitch [M, S], for trailers ``base`` [M] m long."""
-    result = np.full(x.shape, np.nan)
-    behind_x, behind_y = np.full(len(x), np.nan), np.full(len(x), np.nan)  # the trailer's axle
+    """[M, S] hitch angles along paths of the hitch [M, S], for trailers ``base`` [M] m long.
+
+    The axle moves along the mean of the trailer's directions before and after a step, s = (s_x, s_y) long:
+    with u the direction before, half of the turn is the angle from u to 2 base u + s.
+    """
+    result, trailer = np.full(x.shape, np.nan), np.full(len(x), np.nan)
+    behind_x, behind_y = np.full(len(x), np.nan), np.full(len(x), np.nan)  # 2 base behind the hitch
     for t in range(x.shape[1]):
-        new = np.isnan(behind_x)
-        trailer = np.where(new, yaw[:, t], np.arctan2(y[:, t] - behind_y, x[:, t] - behind_x))
-        result[:, t] = (yaw[:, t] - trailer + np.pi) % (2.0 * np.pi) - np.pi
+        half = _wrap(np.arctan2(y[:, t] - behind_y, x[:, t] - behind_x) - trailer)
         # an absent vehicle leaves NaN, so that it begins anew where it is seen again
-        behind_x, behind_y = x[:, t] - base * np.cos(trailer), y[:, t] - base * np.sin(trailer)
+        trailer = np.where(np.isnan(behind_x), yaw[:, t], trailer + 2.0 * half)
+        result[:, t] = _wrap(yaw[:, t] - trailer)
+        behind_x, behind_y = x[:, t] - 2.0 * base * np.cos(trailer), y[:, t] - 2.0 * base * np.sin(trailer)
     return result
+
+
+def _wrap(angle: FloatArray) -> FloatArray:
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi

@@ -1,0 +1,119 @@
+"""Lane changes and windows, by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phase_sumo.errors import PhaseError
+from phase_sumo.evaluate.logs.lane_places import lane_changes, lane_places
+from phase_sumo.evaluate.logs.roads import Strip, strip_road
+from phase_sumo.evaluate.logs.windows import windows
+from tests.recordings import recording_of
+
+T = 250  # samples
+X = 2.0 * np.arange(T)
+BORDER = 1.8  # m, y of the marking between the first two lanes
+
+
+def _changes(y, x=X, **kwargs):
+    recording = recording_of(x[None], y[None], **kwargs)
+    return lane_changes(recording, lane_places(recording))
+
+
+def _ramp(begin, end, low=0.0, high=3.6):
+    return low + (high - low) * np.clip((np.arange(T) - begin) / (end - begin), 0.0, 1.0)
+
+
+def test_a_lane_change_counts_once_from_firmly_here_to_firmly_there():
+    found = _changes(_ramp(100, 137))  # 3.6 / 37 m per sample: 13.4 samples to 1.3 m, 23.6 to 2.3 m
+    assert found.vehicle.tolist() == [0]
+    assert (found.begin[0], found.end[0]) == (113, 124)
+
+
+def test_jitter_at_a_marking_and_riding_on_it_do_not_count():
+    wobble = BORDER + 0.45 * np.sin(np.arange(T))
+    assert len(_changes(wobble).vehicle) == 0
+    # over to the marking and back
+    assert (
+        len(
+            _changes(np.where(np.arange(T) < 125, _ramp(50, 80, 0.0, 2.2), _ramp(140, 170, 2.2, 0.0))).vehicle
+        )
+        == 0
+    )
+
+
+def test_there_and_back_are_two_and_a_gap_hides_one():
+    y = np.where(np.arange(T) < 125, _ramp(50, 80), _ramp(150, 180, 3.6, 0.0))
+    assert len(_changes(y).vehicle) == 2
+    x = X.copy()
+    x[60:70] = np.nan
+    assert len(_changes(y, x).vehicle) == 1
+
+
+def test_going_on_into_the_next_lanelet_or_taking_a_fork_is_no_lane_change():
+    def strip(name, x0, x1, y0, y1, successors=()):
+        middle, up = np.array([[x0, y0], [x1, y1]]), np.array([0.0, 1.8])
+        return Strip(name, middle + up, middle - up, -1, -1, False, False, successors)
+
+    road = strip_road(
+        "fork",
+        [
+            strip("a", 0, 200, 0, 0, (1, 2)),
+            strip("straight", 200, 500, 0, 0),
+            strip("exit", 200, 500, 0, -20),
+        ],
+    )
+    assert len(_changes(0.0 * X, network=road).vehicle) == 0
+    assert len(_changes(-20.0 / 300.0 * np.maximum(X - 200.0, 0.0), network=road).vehicle) == 0
+    # but leaving the straight lane for the exit once they are apart is one
+    away = -np.clip((X - 280.0) * 0.2, 0.0, 20.0 / 300.0 * np.maximum(X - 200.0, 0.0))
+    assert len(_changes(away, network=road).vehicle) == 1
+
+
+def _three():
+    """Drives on; changes lanes in samples 113..124; is lost after sample 60 and seen again from 80 on."""
+    x = np.stack((X, X + 60.0, X + 120.0))
+    x[2, 61:80] = np.nan
+    return recording_of(x, np.stack((0.0 * X, _ramp(100, 137), 7.2 + 0.0 * X)))
+
+
+def test_windows_do_not_overlap_and_the_last_one_may_be_shorter():
+    found = windows(_three(), lane_changes_only=False)
+    assert [(w.begin, w.steps) for w in found] == [(0, 100), (100, 100)]  # 4.9 s are left: too short
+    assert [(w.begin, w.steps) for w in windows(_three(), lane_changes_only=False, shortest=4.0)][2] == (
+        200,
+        49,
+    )
+    assert [w.begin for w in windows(_three(), 10.0, False, stride=5.0)] == [0, 50, 100, 150]
+
+
+def test_only_windows_with_a_whole_lane_change_are_kept():
+    assert [(w.begin, w.lane_changes) for w in windows(_three())] == [(100, 1)]
+    assert [w.begin for w in windows(_three(), seconds=1.2, stride=0.1, shortest=1.2)] == [112, 113]
+    assert windows(_three(), seconds=1.0, stride=0.1, shortest=1.0) == []
+
+
+def test_agents_are_those_there_at_the_begin_until_they_are_lost():
+    first, second = windows(_three(), lane_changes_only=False)
+    assert first.agents.tolist() == [0, 1, 2] and first.last.tolist() == [100, 100, 60]
+    assert second.last.tolist() == [200, 200, 200]
+    (late,) = windows(_three(), seconds=17.9, stride=20.0, shortest=17.9, lane_changes_only=False)
+    assert late.steps == 179
+    recording = recording_of(np.stack((X, X)), np.stack((0.0 * X, 30.0 + 0.0 * X)))  # one far from the road
+    assert windows(recording, lane_changes_only=False)[0].agents.tolist() == [0]
+
+
+def test_flagged_vehicles_can_be_left_out():
+    flagged = replace(_three(), flags=(frozenset(), frozenset({"jumps"}), frozenset({"breaks"})))
+    assert windows(flagged, lane_changes_only=False, without=frozenset({"jumps"}))[0].agents.tolist() == [
+        0,
+        2,
+    ]
+    assert windows(flagged, without=frozenset({"jumps"})) == []  # it was the one that changed lanes
+    with pytest.raises(PhaseError, match="no flag wobbles; there are breaks, overlaps"):
+        windows(flagged, without=frozenset({"wobbles"}))
+    with pytest.raises(PhaseError, match="seconds 0: pass at least"):
+        windows(flagged, seconds=0.0)
