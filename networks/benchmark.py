@@ -2,7 +2,7 @@
 
 python networks/benchmark.py
 
-Results with other worlds compare with no earlier ones, so this belongs to a new version of the benchmark only.
+Results with other worlds compare with no earlier ones: only a new version of the benchmark has new worlds.
 """
 
 from __future__ import annotations

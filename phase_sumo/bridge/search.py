@@ -1,7 +1,7 @@
 """Near-misses and cut-ins in a scene, found by context alone and written as a SUMO scenario.
 
-The scene is a moment of a scenario. Alpha, target speed, vehicle type and destination of a few of its vehicles
-are varied, and every variant is driven from there as ``phase-sumo run`` would drive it.
+The scene is a moment of a scenario. Alpha, target speed, vehicle type and destination of a few of its
+vehicles are varied, and every variant is driven from there as ``phase-sumo run`` would drive it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import csv
 import json
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 

@@ -228,7 +228,8 @@ def search(args: argparse.Namespace) -> Any:
     again = encounters.replay(cfg, policy, args.criterion, out / "replay")
     for name, e in (("as it was", before), ("found", found), ("replayed", again)):
         print(
-            f"{name:>10}: {e.value:.2f} s, {e.follower} behind {e.leader} at {e.time:.1f} s, {e.contacts} contacts"
+            f"{name:>10}: {e.value:.2f} s, {e.follower} behind {e.leader} at {e.time:.1f} s, "
+            f"{e.contacts} contacts"
         )
     print(f"scenario: {cfg}")
     return {**facts, "replayed": asdict(again), "same": again == found, "scenario": str(cfg)}

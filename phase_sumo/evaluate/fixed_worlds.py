@@ -17,6 +17,8 @@ from phase_sumo.sim.scenario import Scenario
 from phase_sumo.sim.vehicles import Task, TensorBatch, VehicleShape, VehicleState
 from phase_sumo.sim.worlds import Outcome, Transition, Worlds, advance, look
 
+MOST_WORLDS = 1_000_003  # beyond which random numbers of one seed would be those of another
+
 Driver = Callable[[Observation], Tensor]  # observation of A agents -> logits of their actions [A, actions]
 
 
@@ -117,7 +119,9 @@ def choose(logits: Tensor, uniform: Tensor | None) -> Tensor:
 def _uniform(start: Start, steps: int, seed: int) -> Tensor:
     """[W, steps, N] in [0, 1), a generator for every world."""
     size = steps, start.active.shape[1]
-    generators = [torch.Generator().manual_seed((seed << 32) + number) for number in start.number.tolist()]
+    # the generator looks at the lowest 32 bits only
+    seeds = [(seed * MOST_WORLDS + number) % 2**32 for number in start.number.tolist()]
+    generators = [torch.Generator().manual_seed(number) for number in seeds]
     return torch.stack([torch.rand(size, generator=generator) for generator in generators])
 
 

@@ -49,7 +49,7 @@ class Ego:
 
 
 def choose_egos(start: Start, maps: Sequence[MapBundle]) -> list[Ego]:
-    """In every world the first car with a lane ahead, one beside it, and room behind; worlds without: none."""
+    """In every world that has one, the first car with a lane ahead, one beside it, and room behind."""
     egos = []
     for world in range(len(start.number)):
         graph = maps[int(start.map_index[world])].graph

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_sumo.evaluate.statistics import Estimate, bootstrap_mean
+from phase_sumo.evaluate.steering.egos import Ego
 from phase_sumo.evaluate.steering.outcomes import Context, Outcome, Stage
 
 FloatArray = NDArray[np.float64]
@@ -74,14 +75,14 @@ class Manoeuvre:
     Attributes:
         name: as asked.
         context, opposite: what asks for it, and what asks for something else.
-        possible: whether the ego's surroundings allow it, by its index.
+        possible: whether the ego's surroundings allow it.
         happened: in an outcome.
     """
 
     name: str
     context: Context
     opposite: Context
-    possible: Callable[[Stage, int], bool]
+    possible: Callable[[Ego], bool]
     happened: Callable[[Outcome], bool]
 
 
@@ -89,18 +90,12 @@ ASIDE = 1.83  # m, half a lane
 FAST, SLOW = Context(alpha=1.0, speed=1.35), Context(alpha=1.0, speed=0.7)
 STAY, LEFT, RIGHT = (Context(lane=lane) for lane in (0, 1, -1))
 MANOEUVRES = (
-    Manoeuvre(
-        "overtake", FAST, SLOW, lambda stage, k: stage.egos[k].ahead >= 0, lambda o: o.passed_ahead
-    ),
-    Manoeuvre(
-        "be overtaken", SLOW, FAST, lambda stage, k: stage.egos[k].behind >= 0, lambda o: o.passed_by_behind
-    ),
-    Manoeuvre("keep lane", STAY, LEFT, lambda stage, k: 1 in stage.egos[k].goals, lambda o: abs(o.farthest) < ASIDE),
-    Manoeuvre("change left", LEFT, STAY, lambda stage, k: 1 in stage.egos[k].goals, lambda o: o.aside > ASIDE),
-    Manoeuvre(
-        "change right", RIGHT, STAY, lambda stage, k: -1 in stage.egos[k].goals, lambda o: o.aside < -ASIDE
-    ),
-)  # fmt: skip
+    Manoeuvre("overtake", FAST, SLOW, lambda ego: ego.ahead >= 0, lambda o: o.passed_ahead),
+    Manoeuvre("be overtaken", SLOW, FAST, lambda ego: ego.behind >= 0, lambda o: o.passed_by_behind),
+    Manoeuvre("keep lane", STAY, LEFT, lambda ego: 1 in ego.goals, lambda o: abs(o.farthest) < ASIDE),
+    Manoeuvre("change left", LEFT, STAY, lambda ego: 1 in ego.goals, lambda o: o.aside > ASIDE),
+    Manoeuvre("change right", RIGHT, STAY, lambda ego: -1 in ego.goals, lambda o: o.aside < -ASIDE),
+)
 
 
 @dataclass(frozen=True)
@@ -150,7 +145,7 @@ def measure_steering(stage: Stage, progress: Callable[[float], None] | None = No
         curves.append(ResponseCurve(part, outcome, sign, levels, values))
     asked = {}
     for m in MANOEUVRES:
-        rows = [k for k in range(len(stage.egos)) if m.possible(stage, k)]
+        rows = [k for k, ego in enumerate(stage.egos) if m.possible(ego)]
         wanted, other = memory.outcomes(m.context), memory.outcomes(m.opposite)
         asked[m.name] = {
             "asked": bootstrap_mean([float(m.happened(wanted[k])) for k in rows]),
