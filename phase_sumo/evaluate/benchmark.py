@@ -216,9 +216,9 @@ def _outcomes(
     """[W, N, rates] bool, what became of every agent in the order of `RATES`."""
     result = torch.zeros(*start.active.shape, len(RATES), dtype=torch.bool)
     for step in drive(start, road_map, driver, SimConfig(), actions, seed, greedy):
-        o = step.transition.outcome
+        o = step.outcome
         now = torch.stack((o.goal, o.collision, o.at_fault, o.road_edge, o.goal & ~o.at_fault), -1)
-        result = torch.where(step.transition.finished.unsqueeze(-1), now, result)
+        result = torch.where(step.finished.unsqueeze(-1), now, result)
     return result
 
 

@@ -8,17 +8,19 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from phase_sumo.config import Actions, DirectActionConfig, RewardConfig, SimConfig
+from phase_sumo.config import Actions, DirectActionConfig, SimConfig
 from phase_sumo.policy.checkpoint import Policy
 from phase_sumo.policy.network import log_prior
+from phase_sumo.sim import kinematics
+from phase_sumo.sim.events import detect
 from phase_sumo.sim.observation import Observation
 from phase_sumo.sim.road_map import RoadMap
-from phase_sumo.sim.scenario import Scenario
 from phase_sumo.sim.vehicles import Task, TensorBatch, VehicleShape, VehicleState
-from phase_sumo.sim.worlds import Outcome, Transition, Worlds, advance, look
+from phase_sumo.sim.worlds import Outcome, Worlds, look
 
 MOST_WORLDS = 1_000_003  # beyond which random numbers of one seed would be those of another
 
+CHUNK = 256  # agents
 Driver = Callable[[Observation], Tensor]  # observation of A agents -> logits of their actions [A, actions]
 
 
@@ -51,12 +53,22 @@ class Start(TensorBatch):
 
 @dataclass
 class Step:
-    """One step of all worlds: as they were, what everybody did, and what came of it."""
+    """One step of all worlds; all [W, N].
 
-    before: Worlds
+    Attributes:
+        before, after: states; who has finished stays where that happened.
+        active: who took part.
+        action: tokens, 0 for the others.
+        finished: for whom this was the last step.
+        outcome: what has become of them so far.
+    """
+
+    before: VehicleState
+    after: VehicleState
+    active: Tensor
     action: Tensor
-    after: Worlds
-    transition: Transition
+    finished: Tensor
+    outcome: Outcome
 
 
 def drive(
@@ -77,35 +89,37 @@ def drive(
         driver: of all agents.
         greedy: most probable actions instead of drawn ones.
     """
-    active = start.active
+    shape, task, active, state = start.shape, start.task, start.active, start.state
     nobody = torch.zeros_like(active)
-    spare = Scenario(start.shape, start.state, start.task, nobody, nobody.long())
-    worlds = Worlds(
-        start.shape,
-        start.state,
-        start.task,
-        Outcome(*(nobody for _ in range(4))),
-        active,
-        nobody.long(),
-        torch.zeros_like(start.map_index),
-    )
-    uniform = _uniform(start, sim.horizon, seed)
-    rho, reward = torch.tensor(0.0), RewardConfig()
+    outcome = Outcome(*(nobody for _ in range(4)))
+    trailers, uniform = trailer_slots(shape), _uniform(start, sim.horizon, seed)
     for t in range(sim.horizon):
-        seen = look(worlds, road_map, start.map_index, None, sim)
+        clock = torch.full_like(start.map_index, t)
+        worlds = Worlds(shape, state, task, outcome, active, nobody.long(), clock)
+        seen = look(worlds, road_map, start.map_index, None, sim).rows(active)
         action = torch.zeros(active.shape, dtype=torch.long)
-        # by world, since the rounding of a matrix product depends on how many rows it has
-        for world in worlds.active.any(-1).nonzero().squeeze(-1).tolist():
-            here = worlds.active[world]
-            logits = driver(seen.map(lambda values, world=world: values[world]).rows(here))
-            action[world, here] = choose(logits, None if greedy else uniform[world, t, here])
-        following, transition = advance(
-            worlds, spare, action, rho, road_map, start.map_index, sim, reward, actions, active.shape[1]
+        action[active] = choose(driver(seen), None if greedy else uniform[:, t][active])
+        jerk, rate = kinematics.command(action, state, task.alpha, actions, sim.dt)
+        after = kinematics.advance(shape, state, jerk, rate, sim).where(active, state)
+        events = detect(shape, state, after, task, active, road_map, start.map_index, sim, trailers)
+        outcome = Outcome(
+            outcome.goal | events.goal,
+            outcome.collision | events.collision,
+            outcome.at_fault | events.at_fault,
+            outcome.road_edge | events.road_edge,
         )
-        yield Step(worlds, action, following, transition)
-        worlds = following
-        if not worlds.active.any():
+        out_of_time = t + 1 == sim.horizon
+        finished = active & (events.goal | events.unrecoverable | out_of_time)
+        yield Step(state, after, active, action, finished, outcome)
+        state, active = after, active & ~finished
+        if not active.any():
             return
+
+
+def trailer_slots(shape: VehicleShape) -> int:
+    """How many slots, the first ones of every world, hold all the trailers."""
+    towing = shape.articulated.any(0).nonzero()
+    return int(towing.max()) + 1 if len(towing) else 0
 
 
 def choose(logits: Tensor, uniform: Tensor | None) -> Tensor:
@@ -126,11 +140,20 @@ def _uniform(start: Start, steps: int, seed: int) -> Tensor:
 
 
 def policy_driver(policy: Policy) -> Driver:
-    """The policy's logits."""
+    """The policy's logits, worked out for `CHUNK` agents at a time.
+
+    The rounding of a matrix product may depend on how many rows it has. With the same number always, an
+    agent's logits do not depend on who else is driven.
+    """
 
     @torch.no_grad()
     def drive_by_policy(seen: Observation) -> Tensor:
-        return policy.network.logits(seen)
+        count, parts = len(seen), []
+        for first in range(0, count, CHUNK):
+            index = torch.arange(first, first + CHUNK).clamp_max(count - 1)
+            part = policy.network.logits(seen.map(lambda values, index=index: values[index]))
+            parts.append(part[: count - first])
+        return torch.cat(parts)
 
     return drive_by_policy
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from phase_sumo.config import SimConfig
+from phase_sumo.evaluate.fixed_worlds import trailer_slots
 from phase_sumo.evaluate.logs.recording import PERIOD
 from phase_sumo.evaluate.logs.vehicles import KINDS
 from phase_sumo.evaluate.statistics import bootstrap_by
@@ -93,7 +94,7 @@ def _column(values: Tensor, counted: Tensor) -> NDArray[np.float64]:
 
 def _events(found: Scenes, frame: Frame) -> dict[str, Tensor]:
     start, active = found.start, frame.active
-    sim, slots = SimConfig(), active.shape[1]
+    sim, slots = SimConfig(), trailer_slots(start.shape)
     box = boxes(start.shape, frame.after)
     result = {"goal": goal_reached(frame.before, frame.after, start.task, sim.goal_radius) & active}
     for end, size in (("", 1.0), ("_small", SHRUNK)):

@@ -1,8 +1,9 @@
 """The paper's zero-shot protocol: recorded scenes driven anew, and what became of every vehicle.
 
 Vehicles start as recorded and are asked to the place where the record, or the window, ends. Their target
-speed is the recorded one at that place; alpha is drawn at random. A vehicle leaves the scene at its goal,
-or once its goal lies behind.
+speed is the highest at which each was recorded in the window, the nearest that a record comes to the speed
+that a driver would like; alpha is drawn at random. A vehicle leaves the scene at its goal, or once its goal
+lies behind.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ def scenes(windows: Sequence[Window], roads: Sequence[str], road_map: RoadMap, s
     Raises:
         PhaseError: there is no window with an agent.
     """
-    agents = [w.agents[w.last - w.begin >= SHORTEST] for w in windows]
+    agents = [_in_order(w) for w in windows]
     kept = [k for k, rows in enumerate(agents) if len(rows)]
     if not kept:
         raise PhaseError(
@@ -121,6 +122,13 @@ def scenes(windows: Sequence[Window], roads: Sequence[str], road_map: RoadMap, s
         torch.arange(len(windows)),
     )
     return Scenes(tuple(windows), tuple(agents), start, log, road_map)
+
+
+def _in_order(window: Window) -> NDArray[np.int64]:
+    """Rows of those that stay long enough, trailers in the first slots (`drive` looks for them there)."""
+    rows = window.agents[window.last - window.begin >= SHORTEST]
+    towing = np.array([window.recording.kind[row] == "articulated_truck" for row in rows], np.bool_)
+    return rows[np.argsort(~towing, kind="stable")]
 
 
 def _log(
@@ -168,11 +176,10 @@ def _initial(
 
 
 def _task(log: Poses, seed: int) -> Task:
-    """To the last recorded pose, at its speed."""
+    """To the last recorded pose, at the highest recorded speed."""
     last = (~log.x.isnan()).sum(-1, keepdim=True).clamp_min(1) - 1
-    x, y, yaw, speed = (
-        getattr(log, name).gather(-1, last).squeeze(-1).nan_to_num() for name in ("x", "y", "yaw", "speed")
-    )
+    x, y, yaw = (getattr(log, name).gather(-1, last).squeeze(-1).nan_to_num() for name in ("x", "y", "yaw"))
+    speed = log.speed.nan_to_num().amax(-1)
     low, high = ScenarioConfig().alpha_bounds
     alpha = low + (high - low) * torch.rand(x.shape, generator=torch.Generator().manual_seed(seed))
     return Task(x, y, yaw, speed.clamp(0.0, SimConfig().max_speed), alpha)
@@ -185,7 +192,7 @@ def driven(found: Scenes, policy: Policy, seed: int, greedy: bool = False) -> It
     driver = policy_driver(policy)
     for t, step in enumerate(drive(found.start, found.road_map, driver, sim, policy.actions, seed, greedy)):
         running = (ends > t).unsqueeze(-1)
-        yield Frame(step.before.state, step.after.state, step.before.active & running)
+        yield Frame(step.before, step.after, step.active & running)
 
 
 def replayed(found: Scenes, motion: Poses) -> Iterator[Frame]:
