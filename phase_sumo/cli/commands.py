@@ -206,9 +206,10 @@ def steer(args: argparse.Namespace) -> Any:
 
 def search(args: argparse.Namespace) -> Any:
     from dataclasses import asdict
+    from hashlib import sha256
 
     from phase_sumo.bridge import search as encounters
-    from phase_sumo.policy.checkpoint import load_policy
+    from phase_sumo.policy.checkpoint import load_policy, policy_bytes
 
     policy, out = load_policy(args.policy), Path(args.out)
     scene = encounters.read_scene(args.cfg, policy, args.time, args.around, args.radius, args.seed)
@@ -221,6 +222,7 @@ def search(args: argparse.Namespace) -> Any:
         "criterion": args.criterion,
         "seed": args.seed,
         "budget": args.budget,
+        "policy_sha256": sha256(policy_bytes(policy)).hexdigest(),  # another one drives otherwise
         "before": asdict(before),
         "found": asdict(found),
     }
