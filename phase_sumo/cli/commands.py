@@ -136,8 +136,9 @@ def evaluate(args: argparse.Namespace) -> Any:
 
 def _benchmark(args: argparse.Namespace) -> Any:
     from phase_sumo.config import ActionConfig
-    from phase_sumo.evaluate.benchmark import RATES, load_benchmark, run_benchmark
+    from phase_sumo.evaluate.benchmark import load_benchmark, run_benchmark
     from phase_sumo.evaluate.fixed_worlds import idle_driver, policy_driver, prior_driver
+    from phase_sumo.evaluate.synthetic import RATES
     from phase_sumo.policy.checkpoint import load_policy
 
     if len(args.scenarios) > 1:
@@ -223,7 +224,7 @@ def search(args: argparse.Namespace) -> Any:
         "seed": args.seed,
         "budget": args.budget,
         "policy_sha256": sha256(policy_bytes(policy)).hexdigest(),  # another one drives otherwise
-        "before": asdict(before),
+        "before": asdict(before) if before.follower else None,
         "found": asdict(found),
     }
     cfg = encounters.export(out, hunt, vehicles, facts)
