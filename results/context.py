@@ -106,8 +106,9 @@ def start(bundle: MapBundle) -> Start:
         steer_history=torch.zeros(*x.shape, HISTORY),
     )
     target, alpha = _columns([[(v.target, v.alpha) for v in world] for world in worlds])
-    index = torch.arange(len(worlds))
-    return Start(bodies, state, Task(*goal, target, alpha), torch.ones_like(truck), 0 * index, index)
+    gx, gy, gyaw = goal
+    task, index = Task(gx, gy, gyaw, target, alpha), torch.arange(len(worlds))
+    return Start(bodies, state, task, torch.ones_like(truck), 0 * index, index)
 
 
 def _columns(rows: list[list[tuple[float, ...]]]) -> list[torch.Tensor]:

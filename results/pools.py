@@ -53,7 +53,7 @@ def draw(bundle: MapBundle) -> Figure:
             f"{regime.path_bounds[1]:.0f} m, {regime.base_speed:g} m/s",
             fontsize=10, color=INK, loc="left", fontweight="bold",
         )  # fmt: skip
-        left.hist(pool.path_length, lengths, color="#7f8791")
+        left.hist(pool.path_length, lengths.tolist(), color="#7f8791")
         counts = np.array([(pool.lane_changes == c).sum() for c in range(-3, 4)])
         right.bar(range(-3, 4), counts, color=[CHANGES[c] for c in range(-3, 4)])
         for panel, label in ((left, "path length, m"), (right, "lane changes (left +)")):

@@ -173,7 +173,8 @@ class Search:
         contact: bool = False,
     ) -> None:
         """``contact`` allows runs with collisions; otherwise they are of no use."""
-        self.scene, self._policy, self._criterion = scene, policy, criterion
+        self.scene, self._policy = scene, policy
+        self._criterion: Criterion = criterion
         self.seconds, self._contact = seconds, contact
         self.varied = scene.vehicles[:vary]
         self._kinds = [_fitting(v, scene.vehicles) for v in self.varied]
@@ -187,6 +188,8 @@ class Search:
         Raises:
             PhaseError: no run of the budget had one.
         """
+        if budget < 1:
+            raise PhaseError(f"budget {budget}: a search needs at least one run")
         best = np.inf
 
         def score(candidate: Candidate) -> float:

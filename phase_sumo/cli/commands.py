@@ -136,8 +136,9 @@ def evaluate(args: argparse.Namespace) -> Any:
 
 def _benchmark(args: argparse.Namespace) -> Any:
     from phase_sumo.config import ActionConfig
-    from phase_sumo.evaluate.benchmark import RATES, load_benchmark, run_benchmark
+    from phase_sumo.evaluate.benchmark import load_benchmark, run_benchmark
     from phase_sumo.evaluate.fixed_worlds import idle_driver, policy_driver, prior_driver
+    from phase_sumo.evaluate.synthetic import RATES
     from phase_sumo.policy.checkpoint import load_policy
 
     if len(args.scenarios) > 1:
@@ -206,9 +207,10 @@ def steer(args: argparse.Namespace) -> Any:
 
 def search(args: argparse.Namespace) -> Any:
     from dataclasses import asdict
+    from hashlib import sha256
 
     from phase_sumo.bridge import search as encounters
-    from phase_sumo.policy.checkpoint import load_policy
+    from phase_sumo.policy.checkpoint import load_policy, policy_bytes
 
     policy, out = load_policy(args.policy), Path(args.out)
     scene = encounters.read_scene(args.cfg, policy, args.time, args.around, args.radius, args.seed)
@@ -221,7 +223,8 @@ def search(args: argparse.Namespace) -> Any:
         "criterion": args.criterion,
         "seed": args.seed,
         "budget": args.budget,
-        "before": asdict(before),
+        "policy_sha256": sha256(policy_bytes(policy)).hexdigest(),  # another one drives otherwise
+        "before": asdict(before) if before.follower else None,
         "found": asdict(found),
     }
     cfg = encounters.export(out, hunt, vehicles, facts)

@@ -22,6 +22,7 @@ from phase_sumo.config import Actions, ScenarioConfig, SimConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.fixed_worlds import Driver, Start, drive
 from phase_sumo.evaluate.statistics import bootstrap_mean
+from phase_sumo.evaluate.synthetic import RATES
 from phase_sumo.sim import scenario
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import BRAKING_JERK
@@ -33,7 +34,6 @@ DIGEST = Path(__file__).with_name("benchmark.json")
 SCENARIOS = ScenarioConfig(agent_scale=0.5)  # half the paper's agent counts, those after the switch
 SLOTS = 128
 WORLDS_PER_TUPLE = 4
-RATES = ("goal_rate", "agent_collision_rate", "at_fault_rate", "road_collision_rate", "success_rate")
 TYPES = ("car", "rigid_truck", "articulated_truck")
 STATE = ("x", "y", "yaw", "speed", "steer", "hitch")  # the others start at 0, the histories at these
 PARTS = {VehicleShape: "shape", Task: "task"}

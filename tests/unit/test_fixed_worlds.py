@@ -12,11 +12,13 @@ from tests.factories import car_shape, task_to, vehicle_state
 
 def start(worlds: int = 3) -> Start:
     """Three cars abreast at different speeds, alike in every world but for its number."""
-    shape, state = (
-        part.map(lambda v: v.repeat(worlds, *(1,) * (v.dim() - 1)))
-        for part in (car_shape(3), vehicle_state(50.0, [0.0, 3.66, 7.32], speed=[15.0, 20.0, 25.0], count=3))
-    )
-    task = task_to(160.0, [0.0, 3.66, 7.32], count=3).map(lambda v: v.repeat(worlds, 1))
+
+    def everywhere(values: torch.Tensor) -> torch.Tensor:
+        return values.repeat(worlds, *(1,) * (values.dim() - 1))
+
+    shape = car_shape(3).map(everywhere)
+    state = vehicle_state(50.0, [0.0, 3.66, 7.32], speed=[15.0, 20.0, 25.0], count=3).map(everywhere)
+    task = task_to(160.0, [0.0, 3.66, 7.32], count=3).map(everywhere)
     active = torch.ones(worlds, 3, dtype=torch.bool)
     return Start(shape, state, task, active, torch.zeros(worlds, dtype=torch.long), torch.arange(worlds))
 

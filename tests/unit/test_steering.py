@@ -18,7 +18,7 @@ from tests.factories import car_shape, task_to, vehicle_state
 
 def test_tau_is_scipys_without_ties_and_0_without_response():
     values = np.random.default_rng(0).normal(size=9)
-    assert kendall_tau(values) == pytest.approx(kendalltau(np.arange(9), values).statistic)
+    assert kendall_tau(values) == pytest.approx(kendalltau(np.arange(9), values)[0])
     assert kendall_tau([1.0, 1.0, 1.0]) == 0.0
     assert kendall_tau([1.0, 2.0, 2.0]) == pytest.approx(2 / 3)
 

@@ -15,6 +15,7 @@ from phase_sumo.evaluate.fixed_worlds import Driver, Start, drive
 from phase_sumo.evaluate.steering.egos import Ego
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.vehicles import VehicleShape, VehicleState
+from phase_sumo.sim.worlds import Transition
 
 Kind = Literal["car", "rigid_truck", "articulated_truck"]
 
@@ -103,7 +104,7 @@ class Stage:
 
     def _begin(self, contexts: Sequence[Context]) -> Start:
         """The worlds with the egos' contexts set."""
-        shape, task = (part.map(Tensor.clone) for part in (self.start.shape, self.start.task))
+        shape, task = self.start.shape.map(Tensor.clone), self.start.task.map(Tensor.clone)
         names = [f.name for f in fields(VehicleShape) if f.name != "truck"]
         for k, (ego, context) in enumerate(zip(self.egos, contexts, strict=True)):
             at = k, ego.slot
@@ -159,7 +160,7 @@ class _Trace:
         self.goal = self.collision = torch.zeros(len(slot), dtype=torch.bool)
         self.driving = True
 
-    def add(self, before: VehicleState, active: Tensor, after: VehicleState, transition) -> None:
+    def add(self, before: VehicleState, active: Tensor, after: VehicleState, transition: Transition) -> None:
         """A step; worlds that are over keep what was before."""
         kept = after.where(active & ~transition.over.unsqueeze(-1), before)
         self._frames.append(
