@@ -15,6 +15,7 @@ from phase_sumo.evaluate.realism.places import Places
 CLASSES: dict[Kind, str] = {"car": "passenger", "rigid_truck": "truck", "articulated_truck": "trailer"}
 LONGEST_RIGID = 12.5  # m: SUMO's class truck bends for us from here on, a bus does not
 SPEEDS = (3.0, 40.0)  # m/s that a driver may want, those that the policy is trained for
+NEAR_END = 5.0  # m of a lane at either end that netconvert may cut off for a junction
 SHARE = 85.0  # percentile of the speeds in a lane that its drivers want to drive
 
 
@@ -26,6 +27,8 @@ class Start:
         x, y: [N] front bumper centres in m.
         yaw: [N] rad.
         speed, desired: [N] m/s.
+        lane: [N] number of the lane in the first edge of the route.
+        position: [N] m along that lane.
         edges: [N] routes.
     """
 
@@ -34,6 +37,8 @@ class Start:
     yaw: np.ndarray
     speed: np.ndarray
     desired: np.ndarray
+    lane: np.ndarray
+    position: np.ndarray
     edges: tuple[tuple[str, ...], ...]
 
 
@@ -57,6 +62,8 @@ def start_of(window: Window, road: SumoRoad, places: Places) -> Start:
         yaw,
         r.speed[rows, at],
         desired_speeds(window, places),
+        np.array(road.number)[lane],
+        np.clip(places.position[rows, at] + half, NEAR_END, np.array(road.length)[lane] - NEAR_END),
         routes,
     )
 
@@ -77,7 +84,8 @@ def desired_speeds(window: Window, places: Places) -> np.ndarray:
 def write_demand(window: Window, start: Start, model: str, path: Path) -> list[str]:
     """Write a route file in which all vehicles depart at once; returns their ids.
 
-    They are inserted at their edge's begin and moved to their places before they drive.
+    They are inserted in the middle of their lanes, in the right order, and moved to their places before they
+    drive.
     """
     r, names, lines = window.recording, [], []
     for k, row in enumerate(window.agents.tolist()):
@@ -90,8 +98,8 @@ def write_demand(window: Window, start: Start, model: str, path: Path) -> list[s
         names.append(name)
     for k, row in enumerate(window.agents.tolist()):
         lines.append(
-            f'<vehicle id="v{row}" type="t{row}" depart="0" departLane="0" departPos="0" departSpeed="0" '
-            f'insertionChecks="none" speedFactor="{start.desired[k] / SPEED_LIMIT:.5f}">'
+            f'<vehicle id="v{row}" type="t{row}" depart="0" departLane="{start.lane[k]}" '
+            f'departPos="{start.position[k]:.2f}" departSpeed="0" insertionChecks="none" speedFactor="{start.desired[k] / SPEED_LIMIT:.5f}">'
             f'<route edges="{" ".join(start.edges[k])}"/></vehicle>'
         )
     path.write_text("<routes>\n" + "\n".join(lines) + "\n</routes>\n")

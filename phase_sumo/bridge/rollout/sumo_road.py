@@ -21,12 +21,15 @@ class SumoRoad:
 
     Attributes:
         path: the ``.net.xml``.
-        edge: [L] SUMO's edge of each lane of the `LaneNetwork`.
+        edge, number: [L] SUMO's edge of each lane of the `LaneNetwork`, and the lane's number in it.
+        length: [L] m of each lane.
         following: edge -> edges that follow.
     """
 
     path: Path
     edge: tuple[str, ...]
+    number: tuple[int, ...]
+    length: tuple[float, ...]
     following: dict[str, list[str]]
 
     def route(self, start: str, goal: str) -> list[str]:
@@ -97,7 +100,8 @@ def write_road(network: LaneNetwork, folder: Path) -> SumoRoad:
     for a, b in network.successors:
         if edge[b] not in following[edge[a]]:
             following[edge[a]].append(edge[b])
-    return SumoRoad(output, tuple(edge), dict(following))
+    length = tuple(float(np.hypot(*np.diff(lane.points, axis=0).T).sum()) for lane in network.lanes)
+    return SumoRoad(output, tuple(edge), tuple(number), length, dict(following))
 
 
 def _edges(network: LaneNetwork) -> list[list[int]]:

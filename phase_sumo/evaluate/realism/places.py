@@ -1,31 +1,33 @@
-"""Where recorded vehicles are on their lanes."""
+"""Tracks on a longer road: lane, distance along it, and the same as `Trajectories`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_sumo.evaluate.logs.recording import Recording
+from phase_sumo.evaluate.logs.lane_places import lane_places
+from phase_sumo.evaluate.logs.recording import PERIOD, Recording
+from phase_sumo.evaluate.trajectories import Trajectories
 from phase_sumo.sim.lanes import LaneNetwork
-from phase_sumo.sim.near import pairs_within
+from phase_sumo.sim.near import nearest
 from phase_sumo.sim.polylines import Polylines
 
 FloatArray = NDArray[np.float64]
-REACH = 4.0  # m from a lane's centre line beyond which a vehicle is on no lane
-AGAINST = 0.0  # cosine of the angle to the lane's direction at which a vehicle drives against it
+SPACING = 1.0  # m between points of centre lines
+REACH = 20.0  # m from a lane within which its points are looked up
 
 
 @dataclass(frozen=True)
 class Places:
-    """Places of front bumpers, [V, T] each.
+    """Where the centres of the boxes are, all [V, T].
 
     Attributes:
-        lane: index of the lane whose centre line is nearest, -1 off the road or where absent.
-        position: m along it.
-        lateral: m left of it, NaN without a lane, like the next one.
-        yaw: of the lane there in rad.
+        lane: index of the nearest lane, -1 on none or absent.
+        position: m along its centre line; NaN there, like the next two.
+        lateral: m left of it.
+        yaw: of the lane in rad.
     """
 
     lane: NDArray[np.int64]
@@ -35,37 +37,64 @@ class Places:
 
 
 def places(recording: Recording, network: LaneNetwork) -> Places:
-    """`Places` on ``network``; lanes in the other direction are left out."""
-    r = recording
-    known = r.present & np.isfinite(r.x)
-    half = 0.5 * r.length[:, None]
-    front = np.stack((r.x + half * np.cos(r.yaw), r.y + half * np.sin(r.yaw)), -1)[known]
-    lines = Polylines.of([lane.points for lane in network.lanes])
-    samples = lines.samples(1.0)
-    points, ahead, s = lines.at(samples), lines.direction(samples), samples.s
-    lane_of = np.repeat(np.arange(len(samples.counts)), samples.counts)
-    query, near = pairs_within(front, points, REACH)
-    towards = np.stack((np.cos(r.yaw[known]), np.sin(r.yaw[known])), -1)
-    same = (towards[query] * ahead[near]).sum(1) > AGAINST
-    query, near = query[same], near[same]
-    away = front[query] - points[near]
-    along = (away * ahead[near]).sum(1)
-    aside = ahead[near, 0] * away[:, 1] - ahead[near, 1] * away[:, 0]
-    # beside a sample 1 m apart from the next; past a lane's end the distance to that end counts
-    cost = np.hypot(np.maximum(np.abs(along) - 1.0, 0.0), aside)
-    order = np.lexsort((np.abs(along), np.round(cost, 2), query))
-    first = order[np.r_[True, np.diff(query[order]) > 0]] if len(order) else order
-    lane, position = np.full(len(front), -1), np.full(len(front), np.nan)
-    lateral, yaw = np.full(len(front), np.nan), np.full(len(front), np.nan)
-    who, at = query[first], near[first]
-    lane[who] = lane_of[at]
-    position[who] = s[at] - lines.s[lines.first][lane_of[at]] + along[first]
-    lateral[who] = aside[first]
-    yaw[who] = np.arctan2(ahead[at, 1], ahead[at, 0])
-    return Places(*(_spread(known, values) for values in (lane, position, lateral, yaw)))
+    """`Places` of a recording's vehicles on ``network`` instead of its own."""
+    found = lane_places(replace(recording, network=network))
+    position = np.full(found.lane.shape, np.nan)
+    for number in np.unique(found.lane[found.lane >= 0]).tolist():
+        line = Polylines.of([network.lanes[number].points])
+        samples = line.samples(SPACING)
+        on = found.lane == number
+        at = np.stack((recording.x[on], recording.y[on]), -1)
+        points, ahead = line.at(samples), line.direction(samples)
+        point, _ = nearest(at, points, REACH)
+        along = ((at - points[point]) * ahead[point]).sum(1)
+        position[on] = samples.s[point] - line.s[0] + along
+    return Places(found.lane, position, found.offset, found.yaw)
 
 
-def _spread(known: NDArray[np.bool_], values: np.ndarray) -> np.ndarray:
-    whole = np.full(known.shape, -1 if values.dtype.kind == "i" else np.nan, values.dtype)
-    whole[known] = values
-    return whole
+def trajectories(recording: Recording, network: LaneNetwork, where: Places) -> Trajectories:
+    """The tracks as the traffic measures take them; positions are those of the front bumper.
+
+    ``x``, ``y`` are the centre of the box here, not the rear axle.
+    """
+    vehicle, sample = np.nonzero(recording.present & (where.lane >= 0))
+    order = np.lexsort((vehicle, sample))
+    vehicle, sample = vehicle[order], sample[order]
+    count, lanes = len(vehicle), network.lanes
+
+    def of(values: np.ndarray) -> np.ndarray:
+        return values[vehicle, sample]
+
+    following: list[list[int]] = [[] for _ in lanes]
+    for a, b in network.successors:
+        following[a].append(b)
+    size = len(recording.length)
+    shape = np.zeros((size, 8))
+    shape[:, 0], shape[:, 1] = recording.length, recording.width
+    return Trajectories(
+        time=sample * PERIOD,
+        vehicle=vehicle,
+        x=of(recording.x),
+        y=of(recording.y),
+        yaw=of(recording.yaw),
+        hitch=np.zeros(count),
+        speed=of(recording.speed),
+        accel=np.zeros(count),
+        lane=of(where.lane),
+        position=of(where.position) + 0.5 * recording.length[vehicle],
+        lateral=of(where.lateral),
+        controlled=np.zeros(count, bool),
+        target_speed=np.zeros(count),
+        alpha=np.full(count, np.nan),
+        vehicle_ids=tuple(f"v{k}" for k in range(size)),
+        vehicle_types=tuple(recording.kind),
+        emission_classes=("",) * size,
+        shape=shape,
+        length=recording.length,
+        lane_ids=tuple(lane.id for lane in lanes),
+        lane_edges=tuple(f":{lane.edge}" if lane.connector else lane.edge for lane in lanes),
+        lane_length=np.array([float(np.hypot(*np.diff(lane.points, axis=0).T).sum()) for lane in lanes]),
+        lane_speed=np.array([lane.speed_limit for lane in lanes]),
+        lane_next=tuple(map(tuple, following)),
+        period=PERIOD,
+    )

@@ -53,15 +53,9 @@ def _chord(points: FloatArray, last: bool) -> FloatArray:
 
 def _longer(lane: Lane, head: FloatArray, tail: FloatArray) -> Lane:
     points = np.concatenate((head, lane.points, tail))
-    if lane.positions is None:
-        added = sum(float(np.hypot(*(end - near))) for end, near in _ends(lane.points, head, tail))
-        return replace(lane, points=points, length=lane.length + added)
     step = np.hypot(*np.diff(points, axis=0).T)
-    start = float(step[0]) if len(head) else 0.0
-    positions = np.concatenate((lane.positions + start, lane.positions[-1:] + start + step[len(step) - len(tail) :]))
-    positions = np.concatenate((np.zeros(len(head)), positions))
-    return replace(lane, points=points, positions=positions, length=float(positions[-1]))
-
-
-def _ends(points: FloatArray, head: FloatArray, tail: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    return [(head[0], points[0])] * len(head) + [(tail[0], points[-1])] * len(tail)
+    start, end = step[: len(head)], step[len(step) - len(tail) :]
+    positions = None
+    if lane.positions is not None:
+        positions = start.sum() + np.concatenate((-start, lane.positions, lane.positions[-1] + end))
+    return replace(lane, points=points, positions=positions, length=lane.length + start.sum() + end.sum())
