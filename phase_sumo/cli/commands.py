@@ -201,6 +201,34 @@ def demo(args: argparse.Namespace) -> Any:
     return result
 
 
+def realism(args: argparse.Namespace) -> Any:
+    from phase_sumo.bridge.rollout.realism import realism as compare
+
+    with progress_bar("realism") as progress:
+        result = compare(
+            args.logs,
+            args.models,
+            args.out,
+            encoder=args.encoder,
+            policy=args.policy,
+            seconds=args.seconds,
+            most=args.windows,
+            seed=args.seed,
+            progress=progress,
+        )
+    print(
+        f"{result['trajectories']} trajectories in {result['windows']} windows of {result['seconds']:g} s; "
+        f"95 % intervals over resampled {result['bootstrap']['by']}s"
+    )
+    models = result["models"]
+    print(f"{'':>28}" + "".join(f"{name:>32}" for name in models) + f"{'real halves':>14}")
+    for name in result["floor"]:
+        cells = (models[model][name] for model in models)
+        texts = (f"{c['value']:.4g} ({c['low']:.3g} .. {c['high']:.3g})" for c in cells)
+        print(f"{name:>28}" + "".join(f"{text:>32}" for text in texts) + f"{result['floor'][name]:>14.4g}")
+    return result
+
+
 def bench(args: argparse.Namespace) -> Any:
     import torch
 

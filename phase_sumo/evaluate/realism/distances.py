@@ -78,12 +78,20 @@ class PairSums:
 
 
 def pair_sums(
-    x: ArrayLike, y: ArrayLike, x_group: ArrayLike | None = None, y_group: ArrayLike | None = None
+    x: ArrayLike,
+    y: ArrayLike,
+    x_group: ArrayLike | None = None,
+    y_group: ArrayLike | None = None,
+    groups: tuple[int, int] = (-1, -1),
 ) -> PairSums:
-    """`PairSums` of x [n, D] and y [m, D] with group numbers [n], [m] from 0; one group each if left out."""
+    """`PairSums` of x [n, D] and y [m, D] with group numbers [n], [m] from 0; one group each if left out.
+
+    Args:
+        groups: G and H, where not all of them may have a point.
+    """
     a = _points(x)
     b = a if y is x else _points(y)
-    in_a, in_b = _membership(x_group, len(a)), _membership(y_group, len(b))
+    in_a, in_b = _membership(x_group, len(a), groups[0]), _membership(y_group, len(b), groups[1])
     distance = torch.zeros(in_a.shape[1], in_b.shape[1], dtype=torch.float64)
     kernel = torch.zeros(len(GAMMAS), *distance.shape, dtype=torch.float64)
     for rows, d in _blocks(a, b):
@@ -171,10 +179,10 @@ def _blocks(x: Tensor, y: Tensor) -> Iterator[tuple[slice, Tensor]]:
         yield rows, d
 
 
-def _membership(group: ArrayLike | None, size: int) -> Tensor:
-    """[size, G] 1 where a point belongs to a group."""
+def _membership(group: ArrayLike | None, size: int, groups: int) -> Tensor:
+    """[size, groups] 1 where a point belongs to a group."""
     numbers = np.zeros(size, np.int64) if group is None else np.asarray(group, np.int64)
-    return torch.nn.functional.one_hot(torch.from_numpy(numbers)).double()
+    return torch.nn.functional.one_hot(torch.from_numpy(numbers), groups).double()
 
 
 def _points(values: ArrayLike) -> Tensor:

@@ -26,7 +26,7 @@ BLOCKS = 2
 BATCH = 64
 RATE = 1e-3  # Adam's, falling to a tenth
 MOTION = (ALONG, ASIDE, FORWARDS, SIDEWAYS)  # hidden where a token is masked
-SEEN = 3  # tokens at least that a forecast starts from, 1.2 s
+SEEN = 3  # tokens at least that a forecast starts from, 1 s
 CHUNK = 256  # trajectories embedded at a time
 
 

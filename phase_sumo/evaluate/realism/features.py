@@ -13,8 +13,8 @@ from torch import Tensor
 
 from phase_sumo.evaluate.logs.recording import PERIOD, Recording
 
-STRIDE = 4  # samples of a recording from one token to the next
-AGENTS = 9  # the vehicle and the nearest ones around it
+STRIDE = 5  # samples of a recording from one token to the next
+AGENTS = 7  # the vehicle and the nearest ones around it
 RANGE = 100.0  # m within which they are looked for
 ALONG, ASIDE, FORWARDS, SIDEWAYS, SPEED, LENGTH, WIDTH, OWN, THERE = range(9)
 FEATURES = 9
