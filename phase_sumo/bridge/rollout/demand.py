@@ -54,7 +54,8 @@ def start_of(window: Window, road: SumoRoad, places: Places) -> Start:
     half = 0.5 * r.length[rows]
     yaw = r.yaw[rows, at]
     routes = tuple(
-        tuple(road.route(road.edge[a], road.edge[b])) for a, b in zip(lane.tolist(), final.tolist(), strict=True)
+        tuple(road.route(road.edge[a], road.edge[b]))
+        for a, b in zip(lane.tolist(), final.tolist(), strict=True)
     )
     return Start(
         r.x[rows, at] + half * np.cos(yaw),
@@ -88,7 +89,7 @@ def write_demand(window: Window, start: Start, model: str, path: Path) -> list[s
     drive.
     """
     r, names, lines = window.recording, [], []
-    for k, row in enumerate(window.agents.tolist()):
+    for row in window.agents.tolist():
         name, kind, length = f"v{row}", r.kind[row], float(r.length[row])
         vclass = "bus" if kind == "rigid_truck" and length > LONGEST_RIGID else CLASSES[kind]
         lines.append(
@@ -99,7 +100,8 @@ def write_demand(window: Window, start: Start, model: str, path: Path) -> list[s
     for k, row in enumerate(window.agents.tolist()):
         lines.append(
             f'<vehicle id="v{row}" type="t{row}" depart="0" departLane="{start.lane[k]}" '
-            f'departPos="{start.position[k]:.2f}" departSpeed="0" insertionChecks="none" speedFactor="{start.desired[k] / SPEED_LIMIT:.5f}">'
+            f'departPos="{start.position[k]:.2f}" departSpeed="0" insertionChecks="none" '
+            f'speedFactor="{start.desired[k] / SPEED_LIMIT:.5f}">'
             f'<route edges="{" ".join(start.edges[k])}"/></vehicle>'
         )
     path.write_text("<routes>\n" + "\n".join(lines) + "\n</routes>\n")

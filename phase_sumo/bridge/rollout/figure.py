@@ -1,4 +1,4 @@
-"""The figure of cluster distances: how far each model's centroid is from the recorded one, cluster by cluster."""
+"""The figure of cluster distances: how far each model's centroids are from the recorded ones."""
 
 from __future__ import annotations
 

@@ -103,10 +103,14 @@ def realism(
     tested = [r for of_source in recordings for r in of_source if r.name not in known]
     if not tested:
         raise PhaseError(
-            "the encoder was trained on all of these recordings; pass more logs, or an --encoder trained on others"
+            "the encoder was trained on all of these recordings; pass more logs, or an --encoder of others"
         )
     scenes = _scenes(
-        _spread(_windows(tested, seconds, seconds), most), chosen, driver, seed, lambda s, t: report(0.5 + 0.4 * s, t)
+        _spread(_windows(tested, seconds, seconds), most),
+        chosen,
+        driver,
+        seed,
+        lambda s, t: report(0.5 + 0.4 * s, t),
     )
     report(0.9, "distances")
     result = _compared(scenes, [m.name for m in chosen], trained, seed)
@@ -167,15 +171,13 @@ def _scenes(
 def _compared(scenes: Sequence[Scene], models: list[str], encoder: Encoder, seed: int) -> dict[str, Any]:
     whole = [[set(trajectories(s.tracks[name]).tolist()) for name in (LOG, *models)] for s in scenes]
     rows = [np.array(sorted(set.intersection(*sets)), np.int64) for sets in whole]
-    lost = {
-        name: sum(len(sets[0] - sets[k + 1]) for sets in whole) for k, name in enumerate(models)
-    }
-    measured = {
-        name: [quantities(s.tracks[name], s.road) for s in scenes] for name in (LOG, *models)
-    }
+    lost = {name: sum(len(sets[0] - sets[k + 1]) for sets in whole) for k, name in enumerate(models)}
+    measured = {name: [quantities(s.tracks[name], s.road) for s in scenes] for name in (LOG, *models)}
     traffic = {
         name: Traffic(
-            np.concatenate([encoder.embed(features(s.tracks[name], r)) for s, r in zip(scenes, rows, strict=True)]),
+            np.concatenate(
+                [encoder.embed(features(s.tracks[name], r)) for s, r in zip(scenes, rows, strict=True)]
+            ),
             np.repeat(np.arange(len(scenes)), [len(r) for r in rows]),
             tuple(measured[name]),
         )

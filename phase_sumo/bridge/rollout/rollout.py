@@ -59,7 +59,9 @@ def roll_out(
             if phase:
                 fleet = PhaseFleet(simulation.api, driver, share=1.0, roads="all", seed=seed)
                 try:
-                    samples = _drive(simulation, fleet.scene, fleet.observe, fleet.drive, names, start, window.steps)
+                    samples = _drive(
+                        simulation, fleet.scene, fleet.observe, fleet.drive, names, start, window.steps
+                    )
                 finally:
                     fleet.close()
             else:

@@ -1,4 +1,4 @@
-"""Recorded against simulated traffic in all distances, with bootstrap intervals and the floor of real data."""
+"""Recorded against simulated traffic: all distances, bootstrap intervals and the floor of real data."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Comparison:
         self._coverage = coverage(x, y)
 
     def measured(self, x: FloatArray | None = None, y: FloatArray | None = None) -> dict[str, float]:
-        """All distances by name when the windows of either side count ``x``, ``y`` [S] times; once by default."""
+        """All distances by name; the windows of either side count ``x``, ``y`` [S] times, by default once."""
         real, simulated = self._real, self._simulated
         x = np.ones(self._count[0]) if x is None else x
         y = np.ones(self._count[1]) if y is None else y
@@ -135,7 +135,9 @@ def resamples(windows: Sequence[str], seed: int) -> tuple[FloatArray, str]:
     return times[:, blocks], "recording" if by_recording else "window"
 
 
-def with_intervals(comparison: Comparison, weights: FloatArray) -> tuple[dict[str, dict], dict[str, np.ndarray]]:
+def with_intervals(
+    comparison: Comparison, weights: FloatArray
+) -> tuple[dict[str, dict], dict[str, np.ndarray]]:
     """Every distance with its interval, and its values in the resamples.
 
     Real and simulated windows are drawn together. A resample holds points twice, which makes it look farther
@@ -181,7 +183,8 @@ def floor(real: Traffic, seed: int) -> dict[str, float]:
         half = np.zeros(len(real.scenes), bool)
         half[rng.permutation(len(half))[: len(half) // 2]] = True
         rows.append(Comparison(real.only(half), real.only(~half)).measured())
-    return {name: float(np.nanmean([row[name] for row in rows])) for name in rows[0]}
+    values = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return {name: _mean(v[np.isfinite(v)], np.ones(np.isfinite(v).sum())) for name, v in values.items()}
 
 
 def cluster_distances(

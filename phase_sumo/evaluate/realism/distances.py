@@ -28,8 +28,8 @@ def frechet(
     """Squared Fréchet (2-Wasserstein) distance of the Gaussians with the moments of x [n, D] and y [m, D].
 
     d^2 = |mu_x - mu_y|^2 + tr(S_x + S_y - 2 (S_x^1/2 S_y S_x^1/2)^1/2), covariances with n - 1 (Heusel et
-    al. 2017, the FID). The last trace is the sum of the singular values of S_x^1/2 S_y^1/2, so that no root of
-    a root amplifies rounding and nothing need be added to covariances of fewer points than dimensions.
+    al. 2017, the FID). The last trace is the sum of the singular values of S_x^1/2 S_y^1/2: so no root of a
+    root amplifies rounding, and nothing need be added to covariances of fewer points than dimensions.
 
     Args:
         x_weight, y_weight: [n], [m] how often each point counts; 1 if left out.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +110,7 @@ class Encoder:
     def embed(self, x: Tensor) -> np.ndarray:
         """[n, `WIDTH`] mean over time of the vehicle's own tokens, all of it seen, of features x [n, ...]."""
         parts = [np.zeros((0, WIDTH))]
-        for part in x.split(CHUNK):
+        for part in x.split(CHUNK) if len(x) else ():
             nothing = torch.zeros(part.shape[:3], dtype=torch.bool)
             parts.append(self.model.tokens(part, nothing)[:, 0].mean(1).double().numpy())
         return np.concatenate(parts)
@@ -181,7 +181,7 @@ def train(
             progress(step / training.steps, f"encoder, loss {losses[-1]:.2f}")
     last = float(np.mean(losses[-max(training.steps // 10, 1) :]))
     model.requires_grad_(False)
-    return Encoder(model.eval(), Training(**asdict(training) | {"loss": last}))
+    return Encoder(model.eval(), replace(training, loss=last))
 
 
 def _masks(x: Tensor, draw: torch.Generator) -> Tensor:

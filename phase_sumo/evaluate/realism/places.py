@@ -72,7 +72,7 @@ def trajectories(recording: Recording, network: LaneNetwork, where: Places) -> T
     shape = np.zeros((size, 8))
     shape[:, 0], shape[:, 1] = recording.length, recording.width
     return Trajectories(
-        time=sample * PERIOD,
+        time=PERIOD * sample.astype(np.float64),
         vehicle=vehicle,
         x=of(recording.x),
         y=of(recording.y),

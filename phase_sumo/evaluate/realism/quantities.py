@@ -70,7 +70,7 @@ def quantities(scene: Recording, network: LaneNetwork) -> Quantities:
         nearest=_nearest(scene),
         road_edge=_road_edge(scene, network, where),
         lateral=where.lateral,
-        change_seconds=(found.end - found.begin) * PERIOD,
+        change_seconds=PERIOD * (found.end - found.begin).astype(np.float64),
         changes=np.bincount(found.vehicle, minlength=len(scene.length)),
         km=np.nansum(step, 1) / 1000.0,
     )
