@@ -186,10 +186,11 @@ def _compared(scenes: Sequence[Scene], models: list[str], encoder: Encoder, seed
     weights, drawn = compare.resamples([s.recording for s in scenes], seed)
     tables: dict[str, dict[str, Any]] = {}
     spreads: dict[str, dict[str, np.ndarray]] = {}
+    unbiased: dict[str, dict[str, float]] = {}
     for name in models:
         comparison = Comparison(traffic[LOG], traffic[name], _likelihoods(measured[LOG], measured[name]))
         tables[name], spreads[name] = compare.with_intervals(comparison, weights)
-        tables[name]["unbiased"] = comparison.unbiased_mmd()
+        unbiased[name] = comparison.unbiased_mmd()
     apart = {
         f"{models[0]} - {name}": compare.differences(
             tables[models[0]], tables[name], spreads[models[0]], spreads[name]
@@ -205,6 +206,7 @@ def _compared(scenes: Sequence[Scene], models: list[str], encoder: Encoder, seed
         "lost": lost,
         "bootstrap": {"by": drawn, "resamples": len(weights)},
         "models": tables,
+        "unbiased_mmd": unbiased,
         "differences": apart,
         "floor": compare.floor(traffic[LOG], seed),
         "log_likelihoods_of_itself": _of_itself(measured[LOG]),

@@ -73,7 +73,7 @@ class PairSums:
 
     def weighted(self, x_weight: ArrayLike, y_weight: ArrayLike) -> PairSums:
         """The sums when the points of each group count [G] and [H] times: a resample by groups."""
-        times = np.outer(x_weight, y_weight)
+        times = np.outer(np.asarray(x_weight, np.float64), np.asarray(y_weight, np.float64))
         return PairSums(self.count * times, self.distance * times, self.kernel * times)
 
 
