@@ -221,11 +221,12 @@ def realism(args: argparse.Namespace) -> Any:
         f"95 % intervals over resampled {result['bootstrap']['by']}s"
     )
     models = result["models"]
-    print(f"{'':>28}" + "".join(f"{name:>32}" for name in models) + f"{'real halves':>14}")
-    for name in result["floor"]:
+    print(f"{'':>28}" + "".join(f"{name:>34}" for name in models) + f"{'real halves':>14}")
+    for name in models[args.models[0]]:
         cells = (models[model][name] for model in models)
-        texts = (f"{c['value']:.4g} ({c['low']:.3g} .. {c['high']:.3g})" for c in cells)
-        print(f"{name:>28}" + "".join(f"{text:>32}" for text in texts) + f"{result['floor'][name]:>14.4g}")
+        texts = (f"{c['value']:.3g} ({c['low']:.3g} .. {c['high']:.3g})" for c in cells)
+        halves = f"{result['floor'][name]:>14.3g}" if name in result["floor"] else ""
+        print(f"{name:>28}" + "".join(f"{text:>34}" for text in texts) + halves)
     return result
 
 

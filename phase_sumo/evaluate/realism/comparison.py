@@ -173,9 +173,9 @@ def _interval(value: float, spread: np.ndarray) -> dict:
 
 
 def floor(real: Traffic, seed: int) -> dict[str, float]:
-    """Mean distances between random halves of the real windows: what no model can be asked to beat.
+    """Mean distances between random halves of the real windows: what chance and other windows alone make.
 
-    Halves have half the points, so that their distances are somewhat larger than those of whole sets.
+    Halves have half the points, and other initial states: rollouts that start as the log did can be closer.
     """
     rng = np.random.default_rng(seed)
     rows = []
