@@ -60,10 +60,21 @@ def test_a_point_of_weight_two_is_two_points():
     assert mmd(*resampled) == pytest.approx(mmd(*three(doubled, y)))
 
 
+@pytest.mark.slow  # dcor compiles itself when it is first imported
 def test_energy_distance_is_dcors_without_a_root():
     dcor = pytest.importorskip("dcor")
     x, y = sets()
     assert energy_distance(*three(x, y)) == pytest.approx(float(dcor.energy_distance(x, y)), rel=1e-9)
+
+
+def test_energy_distance_by_plain_loops():
+    x, y = sets(7, 5)
+
+    def mean(a, b):
+        return np.mean([np.linalg.norm(p - q) for p in a for q in b])
+
+    expected = 2 * mean(x, y) - mean(x, x) - mean(y, y)
+    assert energy_distance(*three(x, y)) == pytest.approx(expected)
 
 
 def test_mmd_by_plain_loops():
