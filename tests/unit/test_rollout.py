@@ -25,7 +25,7 @@ CARS = [(60.0, 0, 20.0), (100.0, 0, 18.0), (70.0, 1, 22.0), (130.0, 2, 25.0)]
 def farthest(points, lines):
     """m of the points [P, 2] from the nearest of some polylines."""
     dense = np.concatenate([np.linspace(a, b, 200) for line in lines for a, b in pairwise(line)])
-    return max(float(np.hypot(*(dense - p).T).min()) for p in points)
+    return max((float(np.hypot(*(dense - p).T).min()) for p in points), default=0.0)
 
 
 @pytest.mark.parametrize("radius", [0.0, 300.0])
