@@ -130,8 +130,8 @@ def roll_out(
     states, there = [begin.state], [begin.active]
     sim = SimConfig()
     for step in drive(begin, bundle.road_map, policy_driver(policy), sim, policy.actions, greedy=True):
-        states.append(step.after.state)
-        there.append(step.after.active & ~step.transition.over.unsqueeze(-1))
+        states.append(step.after)
+        there.append(step.active & ~step.finished)
     return begin, states, there
 
 

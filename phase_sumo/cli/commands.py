@@ -308,6 +308,35 @@ def demo(args: argparse.Namespace) -> Any:
     return result
 
 
+def realism(args: argparse.Namespace) -> Any:
+    from phase_sumo.bridge.rollout.realism import realism as compare
+
+    with progress_bar("realism") as progress:
+        result = compare(
+            args.logs,
+            args.models,
+            args.out,
+            encoder=args.encoder,
+            policy=args.policy,
+            seconds=args.seconds,
+            most=args.windows,
+            seed=args.seed,
+            progress=progress,
+        )
+    print(
+        f"{result['trajectories']} trajectories in {result['windows']} windows of {result['seconds']:g} s; "
+        f"95 % intervals over resampled {result['bootstrap']['by']}s"
+    )
+    models = result["models"]
+    print(f"{'':>28}" + "".join(f"{name:>34}" for name in models) + f"{'real halves':>14}")
+    for name in models[args.models[0]]:
+        cells = (models[model][name] for model in models)
+        texts = (f"{c['value']:.3g} ({c['low']:.3g} .. {c['high']:.3g})" for c in cells)
+        halves = f"{result['floor'][name]:>14.3g}" if name in result["floor"] else ""
+        print(f"{name:>28}" + "".join(f"{text:>34}" for text in texts) + halves)
+    return result
+
+
 def bench(args: argparse.Namespace) -> Any:
     import torch
 

@@ -216,6 +216,25 @@ def make_parser() -> argparse.ArgumentParser:
             )
             sub.add_argument("--out", required=True, metavar="DIR", help="folder for the report")
 
+    sub = add("realism", commands.realism, "how far rollouts from recorded initial states are from the log")
+    sub.add_argument(
+        "--logs",
+        nargs="+",
+        required=True,
+        metavar="SRC",
+        help="tracks:FILE, commonroad:DIR of recorded traffic",
+    )
+    sub.add_argument("--models", nargs="+", default=["phase", "idm"], help="phase, idm, krauss, eidm ...")
+    sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
+    sub.add_argument(
+        "--encoder",
+        metavar="FILE",
+        help="trained before; if left out, one is trained on every second recording",
+    )
+    sub.add_argument("--seconds", type=float, default=5.0, help="length of a window in s")
+    sub.add_argument("--windows", type=int, default=64, metavar="N", help="windows tested at most")
+    sub.add_argument("--out", required=True, metavar="DIR", help="folder for encoder and figure")
+
     sub = add("bench", commands.bench, "throughput of simulator, training, bridge and converter")
     sub.add_argument(
         "parts",

@@ -131,9 +131,7 @@ def _in_order(window: Window) -> NDArray[np.int64]:
     return rows[np.argsort(~towing, kind="stable")]
 
 
-def _log(
-    windows: Sequence[Window], agents: Sequence[NDArray[np.int64]], slots: int, steps: int
-) -> Poses:
+def _log(windows: Sequence[Window], agents: Sequence[NDArray[np.int64]], slots: int, steps: int) -> Poses:
     columns = torch.full((5, len(windows), slots, steps + 1), torch.nan)
     for k, (window, rows) in enumerate(zip(windows, agents, strict=True)):
         samples = np.arange(window.begin, window.begin + window.steps + 1)

@@ -34,10 +34,10 @@ def test_without_command_a_vehicle_keeps_its_speed_and_reaches_what_lies_straigh
     for step in drive(
         start(1), straight_map.road_map, idle_driver(ActionConfig()), SimConfig(), ActionConfig()
     ):
-        assert torch.equal(step.before.state.speed, start(1).state.speed)
+        assert torch.equal(step.before.speed, start(1).state.speed)
     assert step is not None
     # 110 m take 7.3 s at 15 m/s, and the horizon is 9.1 s
-    assert step.transition.outcome.goal.tolist() == [[True, True, True]]
+    assert step.outcome.goal.tolist() == [[True, True, True]]
 
 
 def test_worlds_draw_alike_in_any_company(straight_map):

@@ -11,11 +11,10 @@ import torch
 from torch import Tensor
 
 from phase_sumo.config import Actions, SimConfig
-from phase_sumo.evaluate.fixed_worlds import Driver, Start, drive
+from phase_sumo.evaluate.fixed_worlds import Driver, Start, Step, drive
 from phase_sumo.evaluate.steering.egos import Ego
 from phase_sumo.sim.road_map import RoadMap
-from phase_sumo.sim.vehicles import VehicleShape, VehicleState
-from phase_sumo.sim.worlds import Transition
+from phase_sumo.sim.vehicles import VehicleShape
 
 Kind = Literal["car", "rigid_truck", "articulated_truck"]
 
@@ -97,7 +96,7 @@ class Stage:
         start, trace = self._begin(contexts), _Trace(self._slot)
         sim = SimConfig()
         for step in drive(start, self._road_map, self._driver, sim, self._actions, self._seed):
-            trace.add(step.before.state, step.before.active, step.after.state, step.transition)
+            trace.add(step)
             if not trace.driving:
                 break
         return [self._outcome(k, ego, trace, start.shape, sim.dt) for k, ego in enumerate(self.egos)]
@@ -160,19 +159,16 @@ class _Trace:
         self.goal = self.collision = torch.zeros(len(slot), dtype=torch.bool)
         self.driving = True
 
-    def add(self, before: VehicleState, active: Tensor, after: VehicleState, transition: Transition) -> None:
-        """A step; worlds that are over keep what was before."""
-        kept = after.where(active & ~transition.over.unsqueeze(-1), before)
-        self._frames.append(
-            torch.stack([getattr(kept, name) for name in ("x", "y", "yaw", "speed", "accel")]).numpy()
-        )
-        self._there.append(active.numpy())
+    def add(self, step: Step) -> None:
+        motion = [getattr(step.after, name) for name in ("x", "y", "yaw", "speed", "accel")]
+        self._frames.append(torch.stack(motion).numpy())
+        self._there.append(step.active.numpy())
         at = self._rows, self._slot
-        mine = active[at]
+        mine = step.active[at]
         self.steps += mine
-        self.goal = self.goal | (mine & transition.outcome.goal[at])
-        self.collision = self.collision | (mine & transition.outcome.collision[at])
-        self.driving = bool((mine & ~transition.finished[at]).any())
+        self.goal = self.goal | (mine & step.outcome.goal[at])
+        self.collision = self.collision | (mine & step.outcome.collision[at])
+        self.driving = bool((mine & ~step.finished[at]).any())
 
     def own(self) -> np.ndarray:
         """[5, W, T] x, y, yaw, speed and acceleration of the egos."""

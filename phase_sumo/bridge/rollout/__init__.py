@@ -1,0 +1,1 @@
+"""Recorded initial states rolled out in SUMO."""

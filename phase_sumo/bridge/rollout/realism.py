@@ -1,0 +1,227 @@
+"""Distributional realism: recorded windows rolled out by several models, and all distances from the log."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phase_sumo.bridge.comparison.models import Model, parse_models
+from phase_sumo.bridge.fleet.drivers import Driver
+from phase_sumo.bridge.rollout.figure import cluster_figure
+from phase_sumo.bridge.rollout.rollout import roll_out
+from phase_sumo.bridge.rollout.sumo_road import write_road
+from phase_sumo.errors import PhaseError
+from phase_sumo.evaluate.logs.recording import PERIOD, Recording, Window
+from phase_sumo.evaluate.logs.sources import open_source
+from phase_sumo.evaluate.logs.windows import windows
+from phase_sumo.evaluate.realism import comparison as compare
+from phase_sumo.evaluate.realism.comparison import Comparison, Traffic
+from phase_sumo.evaluate.realism.encoder import Encoder, Training, train
+from phase_sumo.evaluate.realism.features import features, trajectories
+from phase_sumo.evaluate.realism.measures import HISTOGRAMS, lane_change_rate, likelihoods
+from phase_sumo.evaluate.realism.places import places
+from phase_sumo.evaluate.realism.quantities import Quantities, quantities
+from phase_sumo.evaluate.realism.road import extended
+from phase_sumo.evaluate.realism.scenes import alike, recorded
+from phase_sumo.policy.checkpoint import load_policy
+from phase_sumo.sim.lanes import LaneNetwork
+
+Progress = Callable[[float, str], None]
+SECONDS = 5.0  # length of a window
+TRAINING_STRIDE = 1.0  # s from one window that the encoder learns from to the next
+TRAINING_STEPS = 300
+BEFORE, ROOM = 60.0, 60.0  # m of road added before the recorded stretch, and after it beyond the farthest way
+FASTEST = 45.0  # m/s
+MAX_WINDOWS = 64  # tested, spread evenly over those that there are
+LOG = "log"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One window: the log and every model by name, on the same road."""
+
+    recording: str
+    road: LaneNetwork
+    tracks: dict[str, Recording]
+
+
+def realism(
+    sources: Sequence[str],
+    models: Sequence[str],
+    out_dir: str | Path,
+    *,
+    encoder: str | Path | None = None,
+    policy: Driver | str | Path | None = None,
+    seconds: float = SECONDS,
+    most: int = MAX_WINDOWS,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Compare models with recorded traffic from the same initial states.
+
+    The encoder of the embedding is trained on every second recording of each source and tested on the
+    others, and written to ``encoder.safetensors``; a given one is tested on all recordings that it was not
+    trained on. Windows do not overlap.
+
+    Args:
+        sources: ``tracks:FILE``, ``commonroad:DIR`` ... of recorded traffic.
+        models: ``"phase"`` and car-following models of SUMO.
+        out_dir: folder for encoder and ``clusters.png``.
+        encoder: file of a trained one.
+        policy: a loaded policy or its file; None loads the shipped one.
+        seconds: length of a window; an encoder that is given has its own.
+        most: windows that are tested.
+
+    Returns:
+        The command line's JSON: see `README.md`.
+
+    Raises:
+        PhaseError: a source, model or encoder cannot be used, or there is too little to compare.
+    """
+    chosen = parse_models(models)
+    if shares := [m.name for m in chosen if ":" in m.name]:
+        raise PhaseError(f"model {shares[0]!r}: all vehicles of a rollout have one model; write phase")
+    driver = load_policy(policy) if policy is None or isinstance(policy, str | Path) else policy
+    report = progress or (lambda share, text: None)
+    folder = Path(out_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    recordings = [open_source(source) for source in sources]
+    report(0.0, "encoder")
+    if encoder is None:
+        learnt = [r for of_source in recordings for r in of_source[::2]]
+        trained = _train(learnt, seconds, seed, lambda share, text: report(0.5 * share, text))
+        trained.save(folder / "encoder.safetensors")
+    else:
+        trained = Encoder.load(encoder)
+        seconds = trained.training.seconds
+    known = set(trained.training.recordings)
+    tested = [r for of_source in recordings for r in of_source if r.name not in known]
+    if not tested:
+        raise PhaseError(
+            "the encoder was trained on all of these recordings; pass more logs, or an --encoder of others"
+        )
+    scenes = _scenes(
+        _spread(_windows(tested, seconds, seconds), most),
+        chosen,
+        driver,
+        seed,
+        lambda s, t: report(0.5 + 0.4 * s, t),
+    )
+    report(0.9, "distances")
+    result = _compared(scenes, [m.name for m in chosen], trained, seed)
+    cluster_figure(result["clusters"], folder / "clusters.png")
+    report(1.0, "")
+    return {
+        "logs": list(sources),
+        "encoder": asdict(trained.training),
+        "recordings": sorted({s.recording for s in scenes}),
+        "windows": len(scenes),
+        "seconds": seconds,
+        **result,
+    }
+
+
+def _windows(recordings: Sequence[Recording], seconds: float, stride: float) -> list[Window]:
+    """Whole windows of all recordings."""
+    return [w for r in recordings for w in windows(r, seconds, False, stride, shortest=seconds)]
+
+
+def _spread(found: list[Window], most: int) -> list[Window]:
+    if len(found) <= most:
+        return found
+    return [found[k] for k in np.linspace(0, len(found) - 1, most).round().astype(int)]
+
+
+def _train(recordings: Sequence[Recording], seconds: float, seed: int, progress: Progress) -> Encoder:
+    scenes = [recorded(window) for window in _windows(recordings, seconds, TRAINING_STRIDE)]
+    inputs = [features(scene, trajectories(scene)) for scene in scenes]
+    names = tuple(r.name for r in recordings)
+    return train(inputs, Training(seconds, names, sum(map(len, inputs)), TRAINING_STEPS, seed), progress)
+
+
+def _scenes(
+    chosen: Sequence[Window], models: Sequence[Model], driver: Driver, seed: int, progress: Progress
+) -> list[Scene]:
+    scenes = []
+    by_recording: dict[str, list[Window]] = {}
+    for window in chosen:
+        by_recording.setdefault(window.recording.name, []).append(window)
+    for name, of_recording in by_recording.items():
+        recording = of_recording[0].recording
+        after = ROOM + FASTEST * max(w.steps for w in of_recording) * PERIOD
+        road = extended(recording.network, BEFORE, after)
+        where = places(recording, road)
+        with tempfile.TemporaryDirectory(prefix="phase_sumo_") as temporary:
+            sumo = write_road(road, Path(temporary))
+            for window in of_recording:
+                progress(len(scenes) / len(chosen), f"rollouts, {name}")
+                log = recorded(window)
+                tracks = {LOG: log}
+                for model in models:
+                    tracks[model.name] = alike(roll_out(window, sumo, where, model.name, driver, seed), log)
+                scenes.append(Scene(name, road, tracks))
+    return scenes
+
+
+def _compared(scenes: Sequence[Scene], models: list[str], encoder: Encoder, seed: int) -> dict[str, Any]:
+    whole = [[set(trajectories(s.tracks[name]).tolist()) for name in (LOG, *models)] for s in scenes]
+    rows = [np.array(sorted(set.intersection(*sets)), np.int64) for sets in whole]
+    lost = {name: sum(len(sets[0] - sets[k + 1]) for sets in whole) for k, name in enumerate(models)}
+    measured = {name: [quantities(s.tracks[name], s.road) for s in scenes] for name in (LOG, *models)}
+    traffic = {
+        name: Traffic(
+            np.concatenate(
+                [encoder.embed(features(s.tracks[name], r)) for s, r in zip(scenes, rows, strict=True)]
+            ),
+            np.repeat(np.arange(len(scenes)), [len(r) for r in rows]),
+            tuple(measured[name]),
+        )
+        for name in (LOG, *models)
+    }
+    weights, drawn = compare.resamples([s.recording for s in scenes], seed)
+    tables: dict[str, dict[str, Any]] = {}
+    spreads: dict[str, dict[str, np.ndarray]] = {}
+    unbiased: dict[str, dict[str, float]] = {}
+    for name in models:
+        comparison = Comparison(traffic[LOG], traffic[name], _likelihoods(measured[LOG], measured[name]))
+        tables[name], spreads[name] = compare.with_intervals(comparison, weights)
+        unbiased[name] = comparison.unbiased_mmd()
+    apart = {
+        f"{models[0]} - {name}": compare.differences(
+            tables[models[0]], tables[name], spreads[models[0]], spreads[name]
+        )
+        for name in models[1:]
+    }
+    shares, distances = compare.cluster_distances(
+        traffic[LOG], {name: traffic[name] for name in models}, seed
+    )
+    once = np.ones(len(scenes))
+    return {
+        "trajectories": len(traffic[LOG].embedding),
+        "lost": lost,
+        "bootstrap": {"by": drawn, "resamples": len(weights)},
+        "models": tables,
+        "unbiased_mmd": unbiased,
+        "differences": apart,
+        "floor": compare.floor(traffic[LOG], seed),
+        "log_likelihoods_of_itself": _of_itself(measured[LOG]),
+        "lane_changes_per_km": {name: lane_change_rate(measured[name], once) for name in (LOG, *models)},
+        "clusters": {"share": shares, "distance": distances},
+    }
+
+
+def _likelihoods(
+    log: Sequence[Quantities], simulated: Sequence[Quantities]
+) -> Mapping[str, tuple[np.ndarray, np.ndarray]]:
+    found = [likelihoods(a, b) for a, b in zip(log, simulated, strict=True)]
+    window = np.repeat(np.arange(len(found)), [len(f["speed"]) for f in found])
+    return {name: (np.concatenate([f[name] for f in found]), window) for name in HISTOGRAMS}
+
+
+def _of_itself(log: Sequence[Quantities]) -> dict[str, float]:
+    return {name: float(np.nanmean(values)) for name, (values, _) in _likelihoods(log, log).items()}

@@ -1,0 +1,1 @@
+"""How far simulated traffic is from recorded traffic that started alike."""

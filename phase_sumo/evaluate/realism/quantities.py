@@ -1,0 +1,135 @@
+"""What vehicles do at each sample of a scene: the quantities whose distributions are compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_sumo.evaluate import following
+from phase_sumo.evaluate.logs.lane_places import lane_changes, lane_places
+from phase_sumo.evaluate.logs.recording import PERIOD, Recording
+from phase_sumo.evaluate.realism.places import Places, places, trajectories
+from phase_sumo.sim.lanes import LaneNetwork
+
+FloatArray = NDArray[np.float64]
+SPAN = 5  # samples, 0.5 s, over which speed and yaw change: recorded ones are noisy over one
+BESIDE = 1.0  # m beyond the border that a vehicle on no lane is counted to be
+SIGHT = 60.0  # m within which another vehicle is looked for
+
+
+@dataclass(frozen=True)
+class Quantities:
+    """All [N, T], NaN where there is none, but for the last three.
+
+    Attributes:
+        speed: m/s.
+        acceleration: m/s^2, over `SPAN` samples, like the next one.
+        yaw_rate: rad/s.
+        gap: m to the leader in the lane, bumper to bumper, from 0 up to 150.
+        time_headway: s, front to front, above 3 m/s.
+        ttc: s to collision with the leader; inf when not closing in or without a leader.
+        nearest: m to the nearest other box; negative when they overlap.
+        road_edge: m from the box to the nearer border of the road; negative on the road.
+        lateral: m left of the lane's centre.
+        change_seconds: [C] of each lane change, from the last sample firmly in the old lane to the first
+            firmly in the new one: 0.5 m from the marking on either side.
+        changes: [N] lane changes of each vehicle.
+        km: [N] driven by each vehicle.
+    """
+
+    speed: FloatArray
+    acceleration: FloatArray
+    yaw_rate: FloatArray
+    gap: FloatArray
+    time_headway: FloatArray
+    ttc: FloatArray
+    nearest: FloatArray
+    road_edge: FloatArray
+    lateral: FloatArray
+    change_seconds: FloatArray
+    changes: NDArray[np.int64]
+    km: FloatArray
+
+
+def quantities(scene: Recording, network: LaneNetwork) -> Quantities:
+    """`Quantities` of the vehicles of a scene on ``network``, the scene's own with longer ends."""
+    on_longer = replace(scene, network=network)
+    where = places(scene, network)
+    found = lane_changes(on_longer, lane_places(on_longer))
+    step = np.hypot(np.diff(scene.x, axis=1), np.diff(scene.y, axis=1))
+    gap, headway, ttc = _following(scene, network, where)
+    return Quantities(
+        speed=np.where(scene.present, scene.speed, np.nan),
+        acceleration=_rate(np.diff(scene.speed, axis=1)),
+        yaw_rate=_rate(np.remainder(np.diff(scene.yaw, axis=1) + np.pi, 2.0 * np.pi) - np.pi),
+        gap=gap,
+        time_headway=headway,
+        ttc=ttc,
+        nearest=_nearest(scene),
+        road_edge=_road_edge(scene, network, where),
+        lateral=where.lateral,
+        change_seconds=PERIOD * (found.end - found.begin).astype(np.float64),
+        changes=np.bincount(found.vehicle, minlength=len(scene.length)),
+        km=np.nansum(step, 1) / 1000.0,
+    )
+
+
+def _rate(steps: FloatArray) -> FloatArray:
+    """[N, T] change per second over the `SPAN` steps [N, T - 1] that end at a sample."""
+    total = np.cumsum(np.pad(steps, ((0, 0), (1, 0))), 1)  # NaN from where a vehicle is lost
+    result = np.full(total.shape, np.nan)
+    result[:, SPAN:] = (total[:, SPAN:] - total[:, :-SPAN]) / (SPAN * PERIOD)
+    return result
+
+
+def _following(
+    scene: Recording, network: LaneNetwork, where: Places
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    t = trajectories(scene, network, where)
+    pairs = following.following(t)
+    row, sample = t.vehicle[pairs.follower], np.rint(t.time[pairs.follower] / PERIOD).astype(np.int64)
+    gap, headway = (np.full(scene.present.shape, np.nan) for _ in range(2))
+    ttc = np.where(scene.present, np.inf, np.nan)
+    gap[row, sample] = np.maximum(pairs.gap, 0.0)
+    speed = t.speed[pairs.follower]
+    moving = speed > following.HEADWAY_SPEED
+    front = pairs.gap + t.length[t.vehicle[pairs.leader]]
+    headway[row[moving], sample[moving]] = np.maximum(front[moving], 0.0) / speed[moving]
+    ttc[row, sample] = following.time_to_collision(t, pairs)
+    return gap, headway, ttc
+
+
+def _nearest(scene: Recording) -> FloatArray:
+    """In the frame of each vehicle, others taken as parallel to it: roads have one direction."""
+    cos, sin = np.cos(scene.yaw), np.sin(scene.yaw)
+    dx, dy = scene.x[None] - scene.x[:, None], scene.y[None] - scene.y[:, None]
+    half_length = 0.5 * (scene.length[None] + scene.length[:, None])[..., None]
+    half_width = 0.5 * (scene.width[None] + scene.width[:, None])[..., None]
+    along = np.abs(dx * cos[:, None] + dy * sin[:, None]) - half_length
+    aside = np.abs(dy * cos[:, None] - dx * sin[:, None]) - half_width
+    outside = np.hypot(np.maximum(along, 0.0), np.maximum(aside, 0.0))
+    distance = np.where((along < 0) & (aside < 0), np.maximum(along, aside), outside)
+    distance[np.arange(len(distance)), np.arange(len(distance))] = np.inf
+    distance = np.where(np.isnan(distance), np.inf, distance).min(1, initial=SIGHT)
+    return np.where(scene.present, distance, np.nan)
+
+
+def _road_edge(scene: Recording, network: LaneNetwork, where: Places) -> FloatArray:
+    left, right = (_room(network, side) for side in ("left", "right"))
+    centre = np.minimum(left[where.lane] - where.lateral, right[where.lane] + where.lateral)
+    distance = 0.5 * scene.width[:, None] - centre
+    return np.where(scene.present, np.where(where.lane >= 0, distance, BESIDE), np.nan)
+
+
+def _room(network: LaneNetwork, side: str) -> FloatArray:
+    """[L] m from each lane's centre to the border of the lanes abreast on that side."""
+    room = np.array([0.5 * lane.width for lane in network.lanes])
+    for i, lane in enumerate(network.lanes):
+        beside, seen = getattr(lane, side), {i}
+        while beside >= 0 and beside not in seen:
+            seen.add(beside)
+            room[i] += network.lanes[beside].width
+            beside = getattr(network.lanes[beside], side)
+    return room

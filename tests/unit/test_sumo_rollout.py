@@ -1,0 +1,84 @@
+"""Recorded windows in SUMO: where lanes lie, where vehicles start, and that they drive on."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.rollout.rollout import roll_out
+from phase_sumo.bridge.rollout.sumo_road import write_road
+from phase_sumo.errors import PhaseError
+from phase_sumo.evaluate.logs.recording import Window
+from phase_sumo.evaluate.logs.sources import open_source
+from phase_sumo.evaluate.realism.places import places
+from phase_sumo.evaluate.realism.road import extended
+from tests.standin import Standin
+from tests.steady_recordings import recording, road
+
+US101 = Path(__file__).parents[3] / "shared" / "data" / "us101"
+CARS = [(60.0, 0, 20.0), (100.0, 0, 18.0), (70.0, 1, 22.0), (130.0, 2, 25.0)]
+
+
+def farthest(points, lines):
+    """m of the points [P, 2] from the nearest of some polylines."""
+    dense = np.concatenate([np.linspace(a, b, 200) for line in lines for a, b in pairwise(line)])
+    return max((float(np.hypot(*(dense - p).T).min()) for p in points), default=0.0)
+
+
+@pytest.mark.parametrize("radius", [0.0, 300.0])
+def test_lanes_lie_in_sumo_where_they_were(tmp_path, radius):
+    network = road(300.0, radius, sections=2)
+    sumo = write_road(network, tmp_path)
+    back = read_network(sumo.path, "all")
+    for lane in network.lanes:
+        lines = [other.points for other in back.lanes]
+        assert farthest(lane.points[1:-1], lines) < 0.05
+        assert farthest(lane.points, lines) < 0.5  # half a junction, along the road
+    for lane in back.lanes:
+        assert farthest(lane.points[1:-1], [other.points for other in network.lanes]) < 0.05
+    assert sumo.number == (0, 1, 2) * 2
+    assert sumo.route("e0", "e1") == ["e0", "e1"]
+
+
+@pytest.mark.skipif(not US101.exists(), reason="recorded scenes (shared/data) are not beside the repository")
+def test_a_recorded_map_keeps_its_place(tmp_path):
+    recorded = open_source(f"commonroad:{US101 / 'USA_US101-23_1_T-1.xml'}")[0]
+    back = read_network(write_road(recorded.network, tmp_path).path, "all")
+    lines = [lane.points for lane in back.lanes]
+    distance = [farthest(lane.points, lines) for lane in recorded.network.lanes]
+    assert np.median(distance) < 0.05
+    assert max(distance) < 0.5
+
+
+@pytest.mark.parametrize("model", ["phase", "idm"])
+@pytest.mark.parametrize("radius", [0.0, 400.0])
+def test_rollouts_start_as_recorded_and_drive_on(tmp_path, model, radius):
+    log = recording(CARS, radius=radius, lengths=[4.6, 18.0, 4.6, 4.6])
+    window = Window(log, 0, 20, np.arange(4), np.full(4, 20), 0)
+    longer = extended(log.network, 60.0, 300.0)
+    found = roll_out(window, write_road(longer, tmp_path), places(log, longer), model, Standin())
+    assert found.present.all()
+    assert found.x.shape == (4, 21)
+    assert found.x[:, 0] == pytest.approx(log.x[:, 0], abs=0.02)
+    assert found.y[:, 0] == pytest.approx(log.y[:, 0], abs=0.02)
+    assert found.speed[:, 0] == pytest.approx(log.speed[:, 0], abs=0.01)
+    step = np.hypot(np.diff(found.x), np.diff(found.y)) / 0.1
+    assert step == pytest.approx(found.speed[:, 1:], abs=0.4)
+    assert np.abs(np.diff(found.speed)).max() < 0.5  # nobody brakes in an emergency at the start
+    assert (places(found, longer).lane >= 0).all()
+
+
+def test_the_same_seed_gives_the_same_rollout(tmp_path):
+    log = recording(CARS)
+    window, longer = Window(log, 0, 10, np.arange(4), np.full(4, 10), 0), extended(log.network, 60.0, 200.0)
+    sumo = write_road(longer, tmp_path)
+    first, again = (roll_out(window, sumo, places(log, longer), "idm", seed=2) for _ in range(2))
+    assert np.array_equal(first.x, again.x)
+
+
+def test_left_hand_traffic_is_refused(tmp_path):
+    with pytest.raises(PhaseError, match="left-hand"):
+        write_road(replace(road(), left_hand=True), tmp_path)
