@@ -122,9 +122,9 @@ def table(found: Scenes, scores: Scores) -> dict[str, Any]:
     """Scores over all scenes, per source and per vehicle type.
 
     Returns:
-        JSON types: ``scenarios``, ``recordings``, ``agents``, and for each of `MEASURES` the mean and standard
-        deviation over the scenarios (of the mean over each one's vehicles) and the bootstrap interval of the
-        mean, drawn by recording; the same under ``by_source`` and ``by_type``.
+        JSON types: ``scenarios``, ``recordings``, ``agents``, and for each of `MEASURES` the mean and
+        standard deviation over the scenarios (of the mean over each one's vehicles) and the bootstrap
+        interval of the mean, drawn by recording; the same under ``by_source`` and ``by_type``.
     """
     active = found.start.active.numpy()
     sources = np.array([w.recording.source for w in found.windows])
