@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import phase_sumo
-from phase_sumo.cli import commands
+from phase_sumo.cli import commands, evaluation
 from phase_sumo.cli.files import TUNE_TABLE
 
 FLAGS = {
@@ -101,23 +101,35 @@ def make_parser() -> argparse.ArgumentParser:
     sub.add_argument("--trials", type=int, default=20, help="how many this process adds to the study")
     sub.add_argument("--table", default=str(TUNE_TABLE), metavar="CSV", help="settings and their ranges")
 
-    sub = add("evaluate", commands.evaluate, "goal, collision and road-edge rates of a policy")
+    sub = add("evaluate", evaluation.evaluate, "goal, collision and road-edge rates of a policy")
     sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
     sub.add_argument(
         "--scenarios",
         nargs="+",
         required=True,
         metavar="SRC",
-        help="synthetic:benchmark (fixed worlds), or synthetic:PATH of networks",
+        help="synthetic:benchmark (fixed worlds), synthetic:PATH of networks, or recorded traffic: "
+        "commonroad:DIR, exid:DIR, highd:DIR, ngsim:FILE, tracks:FILE (tracks:FILE@MAP)",
     )
     sub.add_argument(
-        "--references", action="store_true", help="constant velocity and random actions beside it (benchmark)"
+        "--references",
+        action="store_true",
+        help="other drivers beside it: constant velocity and, in the benchmark, random actions, in recorded "
+        "traffic the log itself and SUMO's IDM",
     )
-    sub.add_argument("--worlds", type=int, default=64, help="worlds side by side")
-    sub.add_argument("--episodes", type=int, default=4, help="episodes of 9.1 s per world")
+    sub.add_argument("--worlds", type=int, default=64, help="synthetic worlds side by side")
+    sub.add_argument("--episodes", type=int, default=4, help="episodes of 9.1 s per synthetic world")
+    sub.add_argument(
+        "--windows",
+        type=int,
+        default=512,
+        metavar="N",
+        help="recorded windows of 10 s at most, drawn at random",
+    )
+    sub.add_argument("--all-windows", action="store_true", help="recorded windows without a lane change, too")
     sub.add_argument("--greedy", action="store_true", help="most probable actions instead of sampled ones")
 
-    sub = add("steer", commands.steer, "how far outcomes follow alpha, target speed, vehicle type and goal")
+    sub = add("steer", evaluation.steer, "how far outcomes follow alpha, target speed, vehicle type and goal")
     sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
     sub.add_argument(
         "--regime",
@@ -130,7 +142,7 @@ def make_parser() -> argparse.ArgumentParser:
 
     sub = add(
         "search",
-        commands.search,
+        evaluation.search,
         "find a near-miss or a cut-in by context alone, as a SUMO scenario to replay",
     )
     sub.add_argument("cfg", metavar="CFG.sumocfg", help="scenario that the scene is a moment of")
@@ -216,7 +228,7 @@ def make_parser() -> argparse.ArgumentParser:
             )
             sub.add_argument("--out", required=True, metavar="DIR", help="folder for the report")
 
-    sub = add("realism", commands.realism, "how far rollouts from recorded initial states are from the log")
+    sub = add("realism", evaluation.realism, "how far rollouts from recorded initial states are from the log")
     sub.add_argument(
         "--logs",
         nargs="+",

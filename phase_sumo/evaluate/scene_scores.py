@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,44 +118,57 @@ def _compare(
     return total, count, off if t == COMPARED else final
 
 
-def table(found: Scenes, scores: Scores) -> dict[str, Any]:
-    """Scores over all scenes, per source and per vehicle type.
+def table(parts: Sequence[Scenes], scores: Sequence[Scores]) -> dict[str, Any]:
+    """Scores over all scenes, given in parts, per source and per vehicle type.
 
     Returns:
         JSON types: ``scenarios``, ``recordings``, ``agents``, and for each of `MEASURES` the mean and
         standard deviation over the scenarios (of the mean over each one's vehicles) and the bootstrap
         interval of the mean, drawn by recording; the same under ``by_source`` and ``by_type``.
     """
-    active = found.start.active.numpy()
-    sources = np.array([w.recording.source for w in found.windows])
-    kinds = np.full(active.shape, -1)
-    for k, (window, rows) in enumerate(zip(found.windows, found.agents, strict=True)):
-        kinds[k, : len(rows)] = [KINDS.index(window.recording.kind[row]) for row in rows]
-    result = _group(found, scores, active)
-    result["by_source"] = {
-        name: _group(found, scores, active & (sources == name)[:, None]) for name in sorted(set(sources))
+    windows = [w for part in parts for w in part.windows]
+    slots = max(part.start.active.shape[1] for part in parts)
+    size = len(windows), slots
+    kinds, first = np.full(size, -1), 0
+    values = {name: np.full(size, np.nan) for name in MEASURES}
+    for part, own in zip(parts, scores, strict=True):
+        for k, (window, rows) in enumerate(zip(part.windows, part.agents, strict=True)):
+            kinds[first + k, : len(rows)] = [KINDS.index(window.recording.kind[row]) for row in rows]
+        rows = slice(first, first + len(part.windows))
+        for name, column in own.values.items():
+            values[name][rows, : column.shape[1]] = column
+        first += len(part.windows)
+    recordings = np.array([w.recording.source + ":" + w.recording.name for w in windows])
+    sources = np.array([w.recording.source for w in windows])
+
+    def group(counted: NDArray[np.bool_]) -> dict[str, Any]:
+        return _group(values, recordings, counted)
+
+    return {
+        **group(kinds >= 0),
+        "by_source": {
+            name: group((kinds >= 0) & (sources == name)[:, None]) for name in sorted(set(sources))
+        },
+        "by_type": {
+            name: group(kinds == index) for index, name in enumerate(KINDS) if (kinds == index).any()
+        },
     }
-    result["by_type"] = {
-        name: _group(found, scores, kinds == index)
-        for index, name in enumerate(KINDS)
-        if (kinds == index).any()
-    }
-    return result
 
 
-def _group(found: Scenes, scores: Scores, counted: NDArray[np.bool_]) -> dict[str, Any]:
+def _group(
+    values: dict[str, NDArray[np.float64]], recordings: NDArray[np.str_], counted: NDArray[np.bool_]
+) -> dict[str, Any]:
     some = counted.any(1)
-    recordings = np.array([w.recording.source + ":" + w.recording.name for w in found.windows])[some]
     result: dict[str, Any] = {
         "scenarios": int(some.sum()),
-        "recordings": len(set(recordings)),
+        "recordings": len(set(recordings[some])),
         "agents": int(counted.sum()),
     }
-    for name, values in scores.values.items():
-        values = np.where(counted, values, np.nan)[some]
-        known = np.isfinite(values)
-        mean = np.where(known, values, 0.0).sum(1) / np.where(known.any(1), known.sum(1), np.nan)
-        interval = bootstrap_by(mean, recordings)
+    for name, column in values.items():
+        own = np.where(counted, column, np.nan)[some]
+        known = np.isfinite(own)
+        mean = np.where(known, own, 0.0).sum(1) / np.where(known.any(1), known.sum(1), np.nan)
+        interval = bootstrap_by(mean, recordings[some])
         result[name] = {
             "mean": interval.mean,
             "std": float(np.nanstd(mean, ddof=1)) if np.isfinite(mean).sum() > 1 else None,

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from phase_sumo.config import ScenarioConfig, SimConfig
-from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.fixed_worlds import Start, drive, policy_driver
-from phase_sumo.evaluate.logs.recording import PERIOD, Window
+from phase_sumo.evaluate.logs.recording import PERIOD, Recording, Window
 from phase_sumo.evaluate.logs.vehicles import poses, shape
 from phase_sumo.policy.checkpoint import Policy
 from phase_sumo.sim.events import goal_behind, goal_reached
+from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.vehicles import HISTORY, Task, VehicleShape, VehicleState
 
@@ -57,7 +57,7 @@ class Scenes:
     """W recorded windows as worlds of up to N agents and T steps.
 
     Attributes:
-        windows: where each is from; some agents of a window may have been left out.
+        windows: where each is from.
         agents: [W] rows of the recording that the slots of each world hold, in order.
         start: initial states, tasks and shapes.
         log: what was recorded.
@@ -80,27 +80,20 @@ class Frame:
     active: Tensor
 
 
-def scenes(windows: Sequence[Window], roads: Sequence[str], road_map: RoadMap, seed: int) -> Scenes:
-    """Recorded windows as worlds to drive.
+def scenes(
+    windows: Sequence[Window], roads: Sequence[LaneNetwork], road_map: RoadMap, seed: int, first: int = 0
+) -> Scenes:
+    """Recorded windows as worlds to drive; each must have agents (`agents_of`).
 
     Args:
-        roads: names of the networks that ``road_map`` holds, in its order.
-        seed: of alpha, uniform within the bounds of training.
-
-    Raises:
-        PhaseError: there is no window with an agent.
+        roads: the networks that ``road_map`` holds, in its order.
+        seed: of alpha, uniform within the bounds of training, and of the actions.
+        first: number of the first window: what is drawn for a world follows from the seed and its number.
     """
-    agents = [_in_order(w) for w in windows]
-    kept = [k for k, rows in enumerate(agents) if len(rows)]
-    if not kept:
-        raise PhaseError(
-            "the recordings hold no scenario: no window in which a vehicle changes lanes; "
-            "pass --all-windows, or recordings with lane changes"
-        )
-    windows, agents = [windows[k] for k in kept], [agents[k] for k in kept]
-    slots, steps = max(map(len, agents)), max(w.steps for w in windows)
-    size = len(windows), slots
-    log = _log(windows, agents, slots, steps)
+    agents = [agents_of(w) for w in windows]
+    size = len(windows), max(map(len, agents))
+    parts = [(w.recording, rows, w.begin) for w, rows in zip(windows, agents, strict=True)]
+    log = _poses(parts, windows, agents)
     active = torch.zeros(size, dtype=torch.bool)
     shapes = {name: torch.zeros(size) for name in VehicleShape.__dataclass_fields__}
     shapes["truck"] = torch.zeros(size, dtype=torch.bool)
@@ -112,33 +105,50 @@ def scenes(windows: Sequence[Window], roads: Sequence[str], road_map: RoadMap, s
         for name, values in shapes.items():
             values[k, : len(rows)] = getattr(own, name)[0]
     body = VehicleShape(**shapes)
-    index = torch.tensor([roads.index(w.recording.network.name) for w in windows])
+    row = {id(road): k for k, road in enumerate(roads)}
+    index = torch.tensor([row[id(w.recording.network)] for w in windows])
     start = Start(
         body,
         _initial(log, windows, agents, body),
-        _task(log, seed),
+        _task(log, seed, first),
         active,
         index,
-        torch.arange(len(windows)),
+        torch.arange(first, first + len(windows)),
     )
     return Scenes(tuple(windows), tuple(agents), start, log, road_map)
 
 
-def _in_order(window: Window) -> NDArray[np.int64]:
+def agents_of(window: Window) -> NDArray[np.int64]:
     """Rows of those that stay long enough, trailers in the first slots (`drive` looks for them there)."""
     rows = window.agents[window.last - window.begin >= SHORTEST]
     towing = np.array([window.recording.kind[row] == "articulated_truck" for row in rows], np.bool_)
     return rows[np.argsort(~towing, kind="stable")]
 
 
-def _log(windows: Sequence[Window], agents: Sequence[NDArray[np.int64]], slots: int, steps: int) -> Poses:
+def motion_of(found: Scenes, tracks: Sequence[Recording]) -> Poses:
+    """The scenes as another simulator drove them.
+
+    Args:
+        tracks: for each window its agents, all of them, over its samples.
+    """
+    own = [np.searchsorted(w.agents, rows) for w, rows in zip(found.windows, found.agents, strict=True)]
+    parts = [(recording, rows, 0) for recording, rows in zip(tracks, own, strict=True)]
+    return _poses(parts, found.windows, found.agents)
+
+
+def _poses(
+    parts: Sequence[tuple[Recording, NDArray[np.int64], int]],
+    windows: Sequence[Window],
+    agents: Sequence[NDArray[np.int64]],
+) -> Poses:
+    """Of the recording, rows and first sample given for each window, as long as its log lasts."""
+    slots, steps = max(map(len, agents)), max(w.steps for w in windows)
     columns = torch.full((5, len(windows), slots, steps + 1), torch.nan)
-    for k, (window, rows) in enumerate(zip(windows, agents, strict=True)):
-        samples = np.arange(window.begin, window.begin + window.steps + 1)
-        speed = window.recording.speed[rows][:, samples]
-        own = np.stack((*poses(window.recording, rows, samples), speed))
-        last = window.last[np.searchsorted(window.agents, rows)]
-        own[:, samples > last[:, None]] = np.nan  # what comes back after a break is another matter
+    for k, ((recording, rows, begin), window) in enumerate(zip(parts, windows, strict=True)):
+        samples = np.arange(begin, begin + window.steps + 1)
+        own = np.stack((*poses(recording, rows, samples), recording.speed[rows][:, samples]))
+        last = window.last[np.searchsorted(window.agents, agents[k])] - window.begin
+        own[:, np.arange(window.steps + 1) > last[:, None]] = np.nan  # what comes back is another matter
         columns[:, k, : len(rows), : window.steps + 1] = torch.from_numpy(own).float()
     return Poses(*columns)
 
@@ -173,13 +183,14 @@ def _initial(
     )
 
 
-def _task(log: Poses, seed: int) -> Task:
+def _task(log: Poses, seed: int, first: int) -> Task:
     """To the last recorded pose, at the highest recorded speed."""
     last = (~log.x.isnan()).sum(-1, keepdim=True).clamp_min(1) - 1
     x, y, yaw = (getattr(log, name).gather(-1, last).squeeze(-1).nan_to_num() for name in ("x", "y", "yaw"))
     speed = log.speed.nan_to_num().amax(-1)
     low, high = ScenarioConfig().alpha_bounds
-    alpha = low + (high - low) * torch.rand(x.shape, generator=torch.Generator().manual_seed(seed))
+    draws = [np.random.default_rng((seed, first + k)).random(x.shape[1]) for k in range(len(x))]
+    alpha = torch.from_numpy(low + (high - low) * np.stack(draws)).float()
     return Task(x, y, yaw, speed.clamp(0.0, SimConfig().max_speed), alpha)
 
 

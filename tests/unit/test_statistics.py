@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from phase_sumo.evaluate.measures import Measure
-from phase_sumo.evaluate.statistics import mean_interval, paired_difference, poisson_interval, t_quantile
+from phase_sumo.evaluate.statistics import (
+    bootstrap_by,
+    bootstrap_mean,
+    mean_interval,
+    paired_difference,
+    poisson_interval,
+    t_quantile,
+)
 from phase_sumo.evaluate.summary import summarise
 
 # two-sided 95 % points, as printed in any table of Student's t
@@ -73,3 +81,19 @@ def test_summary_pools_rates_and_compares_seed_by_seed():
     assert summary["rate"]["difference"]["n"] == 1
     assert summary["nobody"]["n"] == 0
     assert summarise(rows, None, table)["speed"]["difference"] is None
+
+
+def test_bootstrap_by_draws_whole_groups():
+    """Two groups of equal values: a resample is all of one, all of the other, or half of each."""
+    estimate = bootstrap_by([0.0, 0.0, 1.0, 1.0, np.nan], ["a", "a", "b", "b", "b"])
+    assert (estimate.mean, estimate.low, estimate.high, estimate.n) == (0.5, 0.0, 1.0, 2)
+
+
+def test_bootstrap_by_equals_the_plain_one_where_every_value_is_its_own_group():
+    values = np.random.default_rng(3).normal(size=40)
+    assert bootstrap_by(values, np.arange(40)) == bootstrap_mean(values)
+
+
+def test_one_group_has_no_interval():
+    estimate = bootstrap_by([1.0, 3.0], ["a", "a"])
+    assert estimate.mean == 2.0 and math.isnan(estimate.low) and estimate.n == 1

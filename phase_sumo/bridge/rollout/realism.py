@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from phase_sumo.bridge.comparison.models import Model, parse_models
+from phase_sumo.bridge.comparison.models import parse_models
 from phase_sumo.bridge.fleet.drivers import Driver
+from phase_sumo.bridge.maps.lanelet2 import read_road
+from phase_sumo.bridge.rollout.batch import roll_out_all
 from phase_sumo.bridge.rollout.figure import cluster_figure
-from phase_sumo.bridge.rollout.rollout import roll_out
-from phase_sumo.bridge.rollout.sumo_road import write_road
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.logs.recording import PERIOD, Recording, Window
+from phase_sumo.evaluate.logs.recording import Recording, Window
 from phase_sumo.evaluate.logs.sources import open_source
 from phase_sumo.evaluate.logs.windows import windows
 from phase_sumo.evaluate.realism import comparison as compare
@@ -24,9 +23,7 @@ from phase_sumo.evaluate.realism.comparison import Comparison, Traffic
 from phase_sumo.evaluate.realism.encoder import Encoder, Training, train
 from phase_sumo.evaluate.realism.features import features, trajectories
 from phase_sumo.evaluate.realism.measures import HISTOGRAMS, lane_change_rate, likelihoods
-from phase_sumo.evaluate.realism.places import places
 from phase_sumo.evaluate.realism.quantities import Quantities, quantities
-from phase_sumo.evaluate.realism.road import extended
 from phase_sumo.evaluate.realism.scenes import alike, recorded
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.lanes import LaneNetwork
@@ -35,8 +32,6 @@ Progress = Callable[[float, str], None]
 SECONDS = 5.0  # length of a window
 TRAINING_STRIDE = 1.0  # s from one window that the encoder learns from to the next
 TRAINING_STEPS = 300
-BEFORE, ROOM = 60.0, 60.0  # m of road added before the recorded stretch, and after it beyond the farthest way
-FASTEST = 45.0  # m/s
 MAX_WINDOWS = 64  # tested, spread evenly over those that there are
 LOG = "log"
 
@@ -90,7 +85,7 @@ def realism(
     report = progress or (lambda share, text: None)
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
-    recordings = [open_source(source) for source in sources]
+    recordings = [open_source(source, read_road) for source in sources]
     report(0.0, "encoder")
     if encoder is None:
         learnt = [r for of_source in recordings for r in of_source[::2]]
@@ -105,13 +100,17 @@ def realism(
         raise PhaseError(
             "the encoder was trained on all of these recordings; pass more logs, or an --encoder of others"
         )
-    scenes = _scenes(
+    scenes = []
+    for window, road, tracks in roll_out_all(
         _spread(_windows(tested, seconds, seconds), most),
-        chosen,
+        [m.name for m in chosen],
         driver,
         seed,
-        lambda s, t: report(0.5 + 0.4 * s, t),
-    )
+        lambda share, text: report(0.5 + 0.4 * share, text),
+    ):
+        log = recorded(window)
+        simulated = {name: alike(track, log) for name, track in tracks.items()}
+        scenes.append(Scene(window.recording.name, road, {LOG: log} | simulated))
     report(0.9, "distances")
     result = _compared(scenes, [m.name for m in chosen], trained, seed)
     cluster_figure(result["clusters"], folder / "clusters.png")
@@ -142,30 +141,6 @@ def _train(recordings: Sequence[Recording], seconds: float, seed: int, progress:
     inputs = [features(scene, trajectories(scene)) for scene in scenes]
     names = tuple(r.name for r in recordings)
     return train(inputs, Training(seconds, names, sum(map(len, inputs)), TRAINING_STEPS, seed), progress)
-
-
-def _scenes(
-    chosen: Sequence[Window], models: Sequence[Model], driver: Driver, seed: int, progress: Progress
-) -> list[Scene]:
-    scenes = []
-    by_recording: dict[str, list[Window]] = {}
-    for window in chosen:
-        by_recording.setdefault(window.recording.name, []).append(window)
-    for name, of_recording in by_recording.items():
-        recording = of_recording[0].recording
-        after = ROOM + FASTEST * max(w.steps for w in of_recording) * PERIOD
-        road = extended(recording.network, BEFORE, after)
-        where = places(recording, road)
-        with tempfile.TemporaryDirectory(prefix="phase_sumo_") as temporary:
-            sumo = write_road(road, Path(temporary))
-            for window in of_recording:
-                progress(len(scenes) / len(chosen), f"rollouts, {name}")
-                log = recorded(window)
-                tracks = {LOG: log}
-                for model in models:
-                    tracks[model.name] = alike(roll_out(window, sumo, where, model.name, driver, seed), log)
-                scenes.append(Scene(name, road, tracks))
-    return scenes
 
 
 def _compared(scenes: Sequence[Scene], models: list[str], encoder: Encoder, seed: int) -> dict[str, Any]:

@@ -1,0 +1,46 @@
+"""Many recorded windows driven on in SUMO by several models."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from phase_sumo.bridge.fleet.drivers import Driver
+from phase_sumo.bridge.rollout.rollout import roll_out
+from phase_sumo.bridge.rollout.sumo_road import write_road
+from phase_sumo.evaluate.logs.recording import PERIOD, Recording, Window
+from phase_sumo.evaluate.realism.places import places
+from phase_sumo.evaluate.realism.road import extended
+from phase_sumo.sim.lanes import LaneNetwork
+
+BEFORE, ROOM = 60.0, 60.0  # m of road added before the recorded stretch, and after it beyond the farthest way
+FASTEST = 45.0  # m/s
+
+
+def roll_out_all(
+    windows: Sequence[Window],
+    models: Sequence[str],
+    driver: Driver | None,
+    seed: int,
+    progress: Callable[[float, str], None],
+) -> Iterator[tuple[Window, LaneNetwork, dict[str, Recording]]]:
+    """Every window, its road with room beyond its ends, and its agents' tracks by model (see `roll_out`).
+
+    Windows come recording by recording, since each one's road is made once.
+    """
+    by_recording: dict[int, list[Window]] = {}
+    for window in windows:
+        by_recording.setdefault(id(window.recording), []).append(window)
+    done = 0
+    for of_recording in by_recording.values():
+        recording = of_recording[0].recording
+        after = ROOM + FASTEST * max(w.steps for w in of_recording) * PERIOD
+        road = extended(recording.network, BEFORE, after)
+        where = places(recording, road)
+        with tempfile.TemporaryDirectory(prefix="phase_sumo_") as temporary:
+            sumo = write_road(road, Path(temporary))
+            for window in of_recording:
+                progress(done / len(windows), f"rollouts, {recording.name}")
+                done += 1
+                yield window, road, {m: roll_out(window, sumo, where, m, driver, seed) for m in models}

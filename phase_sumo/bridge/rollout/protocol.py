@@ -1,0 +1,124 @@
+"""The zero-shot protocol on sources of recorded traffic: a policy, and what it is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from phase_sumo.bridge.maps.lanelet2 import read_road
+from phase_sumo.bridge.maps.road_lines import road_lines
+from phase_sumo.bridge.rollout.batch import roll_out_all
+from phase_sumo.errors import PhaseError
+from phase_sumo.evaluate.logs.recording import Recording, Window
+from phase_sumo.evaluate.logs.sources import open_source
+from phase_sumo.evaluate.logs.windows import windows
+from phase_sumo.evaluate.scene_scores import Scores, score, table
+from phase_sumo.evaluate.zero_shot import (
+    Frame,
+    Scenes,
+    agents_of,
+    constant_velocity,
+    driven,
+    motion_of,
+    replayed,
+    scenes,
+)
+from phase_sumo.policy.checkpoint import Policy
+from phase_sumo.sim.lane_graph import build_lane_graph
+from phase_sumo.sim.lanes import LaneNetwork
+from phase_sumo.sim.road_build import build_road_map
+from phase_sumo.sim.road_map import RoadMap, merge
+
+TOGETHER = 64  # worlds side by side
+IDM = "idm"
+
+
+def evaluate_logs(
+    sources: Sequence[str],
+    policy: Policy,
+    *,
+    most: int = 512,
+    all_windows: bool = False,
+    references: bool = False,
+    seed: int = 0,
+    greedy: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> dict[str, Any]:
+    """Goal, collision and success rates and distances to the log in recorded scenes.
+
+    Args:
+        sources: ``tracks:FILE``, ``commonroad:DIR``, ``exid:DIR`` ...
+        most: windows of 10 s, drawn at random where there are more; windows do not overlap.
+        all_windows: take windows without a lane change, too.
+        references: score the log itself, constant velocity and SUMO's IDM on the same windows.
+        seed: of the windows drawn, alpha and actions.
+        greedy: most probable actions instead of sampled ones.
+
+    Returns:
+        `table` of the policy, and of the references by name under ``references``.
+
+    Raises:
+        PhaseError: a source cannot be read, or there is no window.
+    """
+    report = progress or (lambda share, text: None)
+    report(0.0, "recordings")
+    recordings = [r for source in sources for r in open_source(source, read_road)]
+    chosen = _windows(recordings, all_windows, most, seed)
+    networks = list({id(w.recording.network): w.recording.network for w in chosen}.values())
+    parts = _scenes(chosen, networks, merge([_road_map(network) for network in networks]), seed)
+
+    def scored(name: str, frames: Callable[[Scenes], Iterator[Frame]]) -> dict[str, Any]:
+        done: list[Scores] = []
+        for found in parts:
+            share = len(done) / len(parts)
+            done.append(score(found, frames(found), lambda s, at=share: report(at + s / len(parts), name)))
+        return table(parts, done)
+
+    result = scored("policy", lambda found: driven(found, policy, seed, greedy))
+    result["references"] = {}
+    if references:
+        tracks = _idm(chosen, seed, report)
+        result["references"] = {
+            "log": scored("log", lambda found: replayed(found, found.log)),
+            "constant-velocity": scored(
+                "constant velocity", lambda found: replayed(found, constant_velocity(found))
+            ),
+            IDM: scored(
+                IDM,
+                lambda found: replayed(found, motion_of(found, [tracks[id(w)] for w in found.windows])),
+            ),
+        }
+    return result
+
+
+def _windows(recordings: Sequence[Recording], all_windows: bool, most: int, seed: int) -> list[Window]:
+    found = [w for r in recordings for w in windows(r, lane_changes_only=not all_windows)]
+    found = [w for w in found if len(agents_of(w))]
+    if not found:
+        raise PhaseError(
+            "the recordings hold no window with a lane change; pass --all-windows, or other recordings"
+        )
+    if len(found) <= most:
+        return found
+    kept = np.random.default_rng(seed).choice(len(found), most, replace=False)
+    return [found[k] for k in sorted(kept.tolist())]
+
+
+def _scenes(
+    chosen: Sequence[Window], networks: Sequence[LaneNetwork], road_map: RoadMap, seed: int
+) -> list[Scenes]:
+    return [
+        scenes(chosen[first : first + TOGETHER], networks, road_map, seed, first)
+        for first in range(0, len(chosen), TOGETHER)
+    ]
+
+
+def _road_map(network: LaneNetwork) -> RoadMap:
+    return build_road_map(road_lines(network), build_lane_graph(network))
+
+
+def _idm(chosen: Sequence[Window], seed: int, report: Callable[[float, str], None]) -> dict[int, Recording]:
+    """Tracks by the window's identity."""
+    return {id(w): tracks[IDM] for w, _, tracks in roll_out_all(chosen, [IDM], None, seed, report)}
