@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 
 export OMP_NUM_THREADS ?= 2
 
-.PHONY: demo test test-slow soak lint bench networks clean
+.PHONY: demo test test-slow soak lint bench paper networks clean
 
 demo: $(READY)
 	$(BIN)/phase-sumo demo --out out/demo
@@ -29,6 +29,9 @@ lint: $(READY)
 
 bench: $(READY)
 	$(BIN)/phase-sumo bench --json out/bench.json
+
+paper: $(READY)
+	$(BIN)/python results/paper.py --logs $(LOGS)
 
 networks: $(READY)
 	$(BIN)/python networks/generate.py

@@ -1,6 +1,6 @@
 """Thins the curves of training runs into results/curves and draws all that lie there.
 
-python results/curves.py [PRESET-SEED=RUN ...]
+python results/curves.py [PRESET-SEED=RUN or PRESET-LENGTH-SEED=RUN ...]
 """
 
 from __future__ import annotations
@@ -76,12 +76,12 @@ def keep(name: str, run: Path) -> None:
 
 
 def stored() -> dict[str, list[list[Row]]]:
-    """The curves in results/curves by preset, one list of rows per seed."""
+    """The curves in results/curves by preset (and length, where it is named), one list of rows per seed."""
     curves: dict[str, list[list[Row]]] = {preset: [] for preset in PRESETS}
     for path in sorted((HERE / "curves").glob("*.csv")):
         with path.open() as file:
             rows = [{n: float(cell) for n, cell in row.items() if cell} for row in csv.DictReader(file)]
-        curves[path.stem.rpartition("-")[0]].append(rows)
+        curves.setdefault(path.stem.rpartition("-")[0], []).append(rows)
     return {preset: runs for preset, runs in curves.items() if runs}
 
 

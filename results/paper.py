@@ -1,0 +1,154 @@
+"""Every table and figure of the paper for our policies, from what lies in this repository and recorded logs.
+
+python results/paper.py [--logs tracks:FILE commonroad:DIR exid:DIR ...]
+
+Writes tables.md, tables.json, curves.png, context.png, pools.png, steering.csv, steering.png and, with logs,
+clusters.png into results/. Without logs the tables that need them are left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from phase_sumo.bridge.rollout.protocol import evaluate_logs
+from phase_sumo.bridge.rollout.realism import realism
+from phase_sumo.cli.files import held_out_maps, progress_bar, write_json
+from phase_sumo.config import REGIMES
+from phase_sumo.evaluate.benchmark import load_benchmark, run_benchmark
+from phase_sumo.evaluate.fixed_worlds import policy_driver
+from phase_sumo.policy.checkpoint import SHIPPED, load_policy
+
+HERE = Path(__file__).resolve().parent
+MODELS = ("phase", "idm")
+PERCENT = ("goal_rate", "agent_collision_rate", "road_collision_rate", "success_rate")
+METRES = ("ade_5s", "fde_5s")
+TITLES = ("GR %", "CR_a %", "CR_r %", "SR %", "ADE_5s m", "FDE_5s m")
+
+
+def policies() -> dict[str, Path]:
+    """The shipped policy and those in results/policies, by name."""
+    return {"shipped": SHIPPED} | {p.stem: p for p in sorted((HERE / "policies").glob("*.safetensors"))}
+
+
+def measure(logs: list[str], out: Path) -> dict[str, Any]:
+    """All numbers: zero-shot by policy and reference, benchmark by policy, realism of the shipped policy."""
+    found: dict[str, Any] = {"logs": logs, "agent_steps": {}, "zero_shot": {}, "benchmark": {}}
+    benchmark = load_benchmark(held_out_maps())
+    for name, path in policies().items():
+        policy = load_policy(path)
+        found["agent_steps"][name] = policy.info.get("agent_steps")
+        with progress_bar(name) as progress:
+            found["benchmark"][name] = run_benchmark(
+                benchmark,
+                policy_driver(policy),
+                policy.actions,
+                progress=lambda share, progress=progress: progress(share, "benchmark"),
+            )
+            if logs:
+                result = evaluate_logs(logs, policy, references=name == "shipped", progress=progress)
+                references = result.pop("references")
+                found["zero_shot"] |= {name: result} | references
+    if logs:
+        with progress_bar("realism") as progress:
+            found["realism"] = realism(logs, MODELS, out, progress=progress)
+    return found
+
+
+def tables(found: dict[str, Any]) -> str:
+    """Markdown, in the paper's order."""
+    parts = ["# Tables", "", "Written by `python results/paper.py`; what they mean is in the README.", ""]
+    if found["zero_shot"]:
+        parts += _zero_shot(found)
+    if "realism" in found:
+        parts += _realism(found["realism"])
+    return "\n".join(parts + _benchmark(found)) + "\n"
+
+
+def _zero_shot(found: dict[str, Any]) -> list[str]:
+    rows = found["zero_shot"]
+    about = rows["shipped"]
+    lines = [
+        "## Zero-shot on recorded traffic (Table main_ablation)",
+        "",
+        f"{about['agents']} vehicles in {about['scenarios']} windows of {about['recordings']} recordings; "
+        "mean ± standard deviation over the windows.",
+        "",
+        "| driver | agent steps, M | " + " | ".join(TITLES) + " |",
+        "|---" * (2 + len(TITLES)) + "|",
+    ]
+    for name, row in rows.items():
+        cells = [_spread(row[m], 100.0, 1) for m in PERCENT] + [_spread(row[m], 1.0, 2) for m in METRES]
+        lines.append(f"| {name} | {_millions(found, name)} | " + " | ".join(cells) + " |")
+    return [*lines, ""]
+
+
+def _realism(found: dict[str, Any]) -> list[str]:
+    lines = [
+        "## Distance to recorded traffic in SUMO (Table distributional)",
+        "",
+        f"{found['trajectories']} trajectories in {found['windows']} windows of {found['seconds']:g} s; 95 % "
+        f"intervals over resampled {found['bootstrap']['by']}s.",
+        "",
+        "| | " + " | ".join((*found["models"], "real halves")) + " |",
+        "|---" * (2 + len(found["models"])) + "|",
+    ]
+    for name in found["models"][MODELS[0]]:
+        values = [model[name] for model in found["models"].values()]
+        cells = [f"{v['value']:.3g} ({v['low']:.3g} – {v['high']:.3g})" for v in values]
+        halves = f"{found['floor'][name]:.3g}" if name in found["floor"] else ""
+        lines.append(f"| {name} | " + " | ".join((*cells, halves)) + " |")
+    changes = ", ".join(f"{n} {v:.2f}" for n, v in found["lane_changes_per_km"].items())
+    return [*lines, "", f"Lane changes per km: {changes}.", ""]
+
+
+def _benchmark(found: dict[str, Any]) -> list[str]:
+    regimes = [regime.name for regime in REGIMES]
+    lines = [
+        "## Synthetic benchmark",
+        "",
+        "Goal rate, collision rate at fault and success rate of all worlds, success rate by regime, in %.",
+        "",
+        "| policy | agent steps, M | goal | at fault | success | " + " | ".join(regimes) + " |",
+        "|---" * (5 + len(regimes)) + "|",
+    ]
+    for name, row in found["benchmark"].items():
+        cells = [row[m]["mean"] for m in ("goal_rate", "at_fault_rate", "success_rate")]
+        cells += [row["by_regime"][regime]["success_rate"]["mean"] for regime in regimes]
+        texts = " | ".join(f"{100 * cell:.1f}" for cell in cells)
+        lines.append(f"| {name} | {_millions(found, name)} | {texts} |")
+    return [*lines, ""]
+
+
+def _millions(found: dict[str, Any], name: str) -> str:
+    steps = found["agent_steps"].get(name)
+    return f"{1e-6 * steps:.1f}" if steps else ""
+
+
+def _spread(value: dict[str, float | None], scale: float, digits: int) -> str:
+    mean, std = value["mean"], value["std"]
+    return "" if mean is None else f"{scale * mean:.{digits}f} ± {scale * (std or 0.0):.{digits}f}"
+
+
+def figures() -> None:
+    for script in ("curves.py", "context.py", "pools.py"):
+        subprocess.run([sys.executable, str(HERE / script)], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, "-m", "phase_sumo", "steer", "--out", str(HERE)], check=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Tables and figures of the paper for our policies.")
+    parser.add_argument("--logs", nargs="*", default=[], metavar="SRC", help="as for phase-sumo evaluate")
+    args = parser.parse_args()
+    found = measure(args.logs, HERE)
+    (HERE / "encoder.safetensors").unlink(missing_ok=True)  # learnt from logs that are not ours to pass on
+    write_json(HERE / "tables.json", found)
+    (HERE / "tables.md").write_text(tables(found))
+    figures()
+
+
+if __name__ == "__main__":
+    main()
