@@ -196,7 +196,7 @@ def _task(log: Poses, seed: int, first: int) -> Task:
 
 def driven(found: Scenes, policy: Policy, seed: int, greedy: bool = False) -> Iterator[Frame]:
     """The scenes under the policy, all vehicles at once."""
-    sim = replace(policy.sim, horizon=found.log.x.shape[-1] - 1)
+    sim = replace(policy.sim, horizon=found.log.x.shape[-1] - 1, early_termination=True)
     ends = torch.tensor([w.steps for w in found.windows])
     driver = policy_driver(policy)
     for t, step in enumerate(drive(found.start, found.road_map, driver, sim, policy.actions, seed, greedy)):
