@@ -85,13 +85,11 @@ def _logs(args: argparse.Namespace) -> Any:
             progress=progress,
         )
     print(f"{result['agents']} agents in {result['scenarios']} windows of {result['recordings']} recordings")
-    print(f"{'':>18}" + "".join(f"{title:>22}" for title in COLUMNS.values()))
-    rows = {
-        "policy": result,
-        **{f"  {n}": t for n, t in {**result["by_source"], **result["by_type"]}.items()},
-    }
-    for name, row in {**rows, **result["references"]}.items():
-        print(f"{name:>18}" + "".join(f"{_cell(column, row[column]):>22}" for column in COLUMNS))
+    print("mean±standard deviation over windows (95 % interval of the mean, drawn by recording)")
+    print(f"{'':>18}" + "".join(f"{title:>28}" for title in COLUMNS.values()))
+    rows = {"policy": result, **result["by_source"], **result["by_type"], **result["references"]}
+    for name, row in rows.items():
+        print(f"{name:>18}" + "".join(f"{_cell(column, row[column]):>28}" for column in COLUMNS))
     return result
 
 

@@ -84,7 +84,7 @@ def score(found: Scenes, frames: Iterable[Frame], progress: Callable[[float], No
 
 
 def _event(measure: str) -> str:
-    """ "goal_rate" -> "goal", "agent_collision_rate_small" -> "agent_collision_small"."""
+    """goal_rate -> goal, agent_collision_rate_small -> agent_collision_small."""
     return measure.replace("_rate", "")
 
 

@@ -29,7 +29,7 @@ from phase_sumo.sim.vehicles import HISTORY, Task, VehicleShape, VehicleState
 SHORTEST = 10  # samples: a vehicle that leaves within a second is left out
 PAST = 5  # samples before the window that acceleration and steering angle are read from
 STEEPEST = 3.0  # m/s^2 sideways: more is no turn but noise of the recorded yaw
-LOOK = {"length": 4.9, "wheelbase": 2.94}  # of empty slots: the model divides by the wheelbase
+EMPTY = {"length": 4.9, "wheelbase": 2.94}  # of empty slots: the model divides by the wheelbase
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def scenes(
     active = torch.zeros(size, dtype=torch.bool)
     shapes = {name: torch.zeros(size) for name in VehicleShape.__dataclass_fields__}
     shapes["truck"] = torch.zeros(size, dtype=torch.bool)
-    for name, value in LOOK.items():
+    for name, value in EMPTY.items():
         shapes[name] += value
     for k, (window, rows) in enumerate(zip(windows, agents, strict=True)):
         active[k, : len(rows)] = True

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +66,8 @@ def roll_out(
             else:
                 scene = Scene(simulation, None)
                 samples = _drive(simulation, scene, scene.update, _nothing, names, start, window.steps)
-    return _recording(window, samples)
+    x, y, yaw, speed, there = (values.T for values in samples)
+    return window.with_motion(there > 0, x, y, yaw, speed)
 
 
 def _place(simulation: Simulation, names: list[str], start: Start) -> None:
@@ -131,20 +131,3 @@ def _poses(table: VehicleTable, rows: np.ndarray) -> np.ndarray:
     back_x, back_y = a["x"] - behind * np.cos(yaw), a["y"] - behind * np.sin(yaw)
     along = np.arctan2(front_y - back_y, front_x - back_x)
     return np.stack((0.5 * (front_x + back_x), 0.5 * (front_y + back_y), along, a["speed"]))
-
-
-def _recording(window: Window, samples: np.ndarray) -> Recording:
-    r, rows = window.recording, window.agents
-    x, y, yaw, speed, there = (values.T for values in samples)
-    return replace(
-        r,
-        present=there > 0,
-        x=x,
-        y=y,
-        yaw=yaw,
-        speed=speed,
-        length=r.length[rows],
-        width=r.width[rows],
-        kind=tuple(r.kind[k] for k in rows.tolist()),
-        flags=tuple(r.flags[k] for k in rows.tolist()),
-    )

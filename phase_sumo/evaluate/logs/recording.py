@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -67,3 +67,26 @@ class Window:
     agents: NDArray[np.int64]
     last: NDArray[np.int64]
     lane_changes: int
+
+    def with_motion(
+        self,
+        present: NDArray[np.bool_],
+        x: FloatArray,
+        y: FloatArray,
+        yaw: FloatArray,
+        speed: FloatArray,
+    ) -> Recording:
+        """Its agents alone, with this motion [N, samples] instead of the recorded one."""
+        r, rows = self.recording, self.agents
+        return replace(
+            r,
+            present=present,
+            x=x,
+            y=y,
+            yaw=yaw,
+            speed=speed,
+            length=r.length[rows],
+            width=r.width[rows],
+            kind=tuple(r.kind[k] for k in rows.tolist()),
+            flags=tuple(r.flags[k] for k in rows.tolist()),
+        )

@@ -15,18 +15,7 @@ def recorded(window: Window) -> Recording:
     span = slice(window.begin, window.begin + window.steps + 1)
     there = np.arange(window.steps + 1) <= (window.last - window.begin)[:, None]
     x, y, yaw, speed = (np.where(there, a[rows, span], np.nan) for a in (r.x, r.y, r.yaw, r.speed))
-    return replace(
-        r,
-        present=there,
-        x=x,
-        y=y,
-        yaw=yaw,
-        speed=speed,
-        length=r.length[rows],
-        width=r.width[rows],
-        kind=tuple(r.kind[k] for k in rows.tolist()),
-        flags=tuple(r.flags[k] for k in rows.tolist()),
-    )
+    return window.with_motion(there, x, y, yaw, speed)
 
 
 def alike(simulated: Recording, log: Recording) -> Recording:
