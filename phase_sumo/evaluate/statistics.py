@@ -46,18 +46,8 @@ def paired_difference(values: ArrayLike, reference: ArrayLike, confidence: float
 
 
 def bootstrap_mean(values: ArrayLike, confidence: float = CONFIDENCE) -> Estimate:
-    """Percentile bootstrap (Efron 1979) of the mean of independent units, worlds say; the same every time.
-
-    Values that are not finite are left out; one value has no interval.
-    """
-    kept = np.asarray(values, np.float64)
-    kept = kept[np.isfinite(kept)]
-    n = len(kept)
-    if n < 2:
-        return mean_interval(kept, confidence)
-    drawn = np.random.default_rng(0).integers(n, size=(RESAMPLES, n))
-    low, high = np.quantile(kept[drawn].mean(1), [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
-    return Estimate(float(kept.mean()), float(low), float(high), n)
+    """`bootstrap_by` of independent values, worlds say: each is a group of its own (Efron 1979)."""
+    return bootstrap_by(values, np.arange(np.size(values)), confidence)
 
 
 def t_quantile(p: float, freedom: int) -> float:

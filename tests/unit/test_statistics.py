@@ -89,9 +89,13 @@ def test_bootstrap_by_draws_whole_groups():
     assert (estimate.mean, estimate.low, estimate.high, estimate.n) == (0.5, 0.0, 1.0, 2)
 
 
-def test_bootstrap_by_equals_the_plain_one_where_every_value_is_its_own_group():
-    values = np.random.default_rng(3).normal(size=40)
-    assert bootstrap_by(values, np.arange(40)) == bootstrap_mean(values)
+def test_bootstrap_of_many_normal_values_is_the_normal_interval():
+    values = np.random.default_rng(3).normal(5.0, 2.0, size=400)
+    estimate = bootstrap_mean(values)
+    half = 1.96 * values.std() / 20.0
+    assert (estimate.mean, estimate.n) == (pytest.approx(values.mean()), 400)
+    assert estimate.low == pytest.approx(values.mean() - half, abs=0.05 * half)
+    assert estimate.high == pytest.approx(values.mean() + half, abs=0.05 * half)
 
 
 def test_one_group_has_no_interval():
