@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import Any
 
@@ -94,12 +93,12 @@ def _logs(args: argparse.Namespace) -> Any:
 
 
 def _cell(column: str, value: dict[str, float | None]) -> str:
-    """mean±std (95 % interval of the mean), in % or m."""
+    """mean±std (95 % interval of the mean), in % or m, as far as they are known."""
     scale, digits = (1.0, 2) if column.endswith("5s") else (100.0, 1)
     mean, std, low, high = (
-        f"{math.nan if v is None else scale * v:.{digits}f}" for v in (value[k] for k in SUMMARY)
+        "" if v is None else f"{scale * v:.{digits}f}" for v in (value[k] for k in SUMMARY)
     )
-    return f"{mean}±{std} ({low}..{high})"
+    return (mean or "-") + (f"±{std}" if std else "") + (f" ({low}..{high})" if low else "")
 
 
 def _benchmark(args: argparse.Namespace) -> Any:

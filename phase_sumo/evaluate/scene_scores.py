@@ -170,9 +170,14 @@ def _group(
         mean = np.where(known, own, 0.0).sum(1) / np.where(known.any(1), known.sum(1), np.nan)
         interval = bootstrap_by(mean, recordings[some])
         result[name] = {
-            "mean": interval.mean,
+            "mean": _known(interval.mean),
             "std": float(np.nanstd(mean, ddof=1)) if np.isfinite(mean).sum() > 1 else None,
-            "low": interval.low,
-            "high": interval.high,
+            "low": _known(interval.low),
+            "high": _known(interval.high),
         }
     return result
+
+
+def _known(value: float) -> float | None:
+    """JSON has no NaN: null where one recording, or no sample, leaves nothing to say."""
+    return value if np.isfinite(value) else None

@@ -44,7 +44,9 @@ def drone_files(path: Path) -> list[Path]:
     for folder in (path, path / "data"):
         if found := sorted(folder.glob(f"*{TRACKS}")):
             return found
-    raise PhaseError(f"{path}: no file NN{TRACKS} in this folder or its data folder")
+    raise PhaseError(
+        f"{path}: no file NN{TRACKS} in this folder or its data folder; pass the folder of the recordings"
+    )
 
 
 def read_drone(

@@ -48,7 +48,9 @@ def _commonroad(path: Path, map_path: Path | None, road: RoadReader | None) -> l
         return [read_commonroad(path)]
     files = sorted(p for p in path.iterdir() if p.suffix in (".xml", ".pb"))
     if not files:
-        raise PhaseError(f"{path}: no CommonRoad scenario (.xml or .pb) in this folder")
+        raise PhaseError(
+            f"{path}: no CommonRoad scenario (.xml or .pb) in this folder; pass the one that holds them"
+        )
     return [read_commonroad(file) for file in files]
 
 
