@@ -9,9 +9,9 @@ import numpy as np
 
 from phase_sumo.bridge.fleet.event_log import EventLog
 from phase_sumo.bridge.fleet.table import VehicleTable
+from phase_sumo.bridge.outputs.lane_ways import LaneWays, index_of
 from phase_sumo.bridge.sumo.session import Simulation
 
-HOPS = 6  # lanes, internal ones counted, that a vehicle may pass within one step of SUMO
 NEAR = 1000.0  # m within which a leader or follower is named
 
 
@@ -25,7 +25,6 @@ class LaneChange:
         source, target: lanes of one edge.
         direction: lanes to the left.
         speed, position: m/s and m on the target lane.
-        counted_twice: m that SUMO's routeLength gains by the change.
         gaps: of leader, follower and origLeader where there is one: net gap and safe gap in m, speed in m/s.
     """
 
@@ -37,7 +36,6 @@ class LaneChange:
     direction: int
     speed: float
     position: float
-    counted_twice: float
     gaps: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
 
@@ -45,11 +43,16 @@ class LaneChanges:
     """Watches SUMO's lane of every vehicle under the policy."""
 
     def __init__(
-        self, session: Simulation, table: VehicleTable, types: dict[str, str], events: EventLog
+        self,
+        session: Simulation,
+        table: VehicleTable,
+        types: dict[str, str],
+        events: EventLog,
+        ways: LaneWays,
     ) -> None:
         self._api, self._table, self._types, self._events = session.api, table, types, events
+        self._ways = ways
         self._lane: dict[str, str] = {}
-        self._next: dict[str, frozenset[str]] = {}
         self.changes: list[LaneChange] = []
 
     def update(self) -> None:
@@ -61,30 +64,11 @@ class LaneChanges:
             lane = self._api.vehicle.getLaneID(vehicle) or last
             self._lane[vehicle] = lane
             if last and lane != last:
-                source = self._source(last, lane)
-                if source:
-                    self.changes.append(self._change(vehicle, row, last, source, lane))
+                found = self._ways.towards(last, lane)
+                if found and found[0] != lane:
+                    self.changes.append(self._change(vehicle, row, found[0], lane))
 
-    def _source(self, last: str, lane: str) -> str:
-        """The lane beside ``lane`` that ``last`` leads to; "" where that is ``lane`` itself or none."""
-        edge = _edge(lane)
-        ahead = {last}
-        for _ in range(HOPS):
-            if lane in ahead:
-                return ""
-            beside = [other for other in ahead if _edge(other) == edge]
-            if beside:
-                return min(beside, key=lambda other: (abs(_index(other) - _index(lane)), other))
-            ahead = {after for other in ahead for after in self._following(other)}
-        return ""
-
-    def _following(self, lane: str) -> frozenset[str]:
-        if lane not in self._next:
-            links = self._api.lane.getLinks(lane)
-            self._next[lane] = frozenset(link[4] or link[0] for link in links)
-        return self._next[lane]
-
-    def _change(self, vehicle: str, row: int, last: str, source: str, lane: str) -> LaneChange:
+    def _change(self, vehicle: str, row: int, source: str, lane: str) -> LaneChange:
         api = self._api
         return LaneChange(
             time=self._events.now,
@@ -92,12 +76,10 @@ class LaneChanges:
             type=self._types[vehicle],
             source=source,
             target=lane,
-            direction=_index(lane) - _index(source),
+            direction=index_of(lane) - index_of(source),
             speed=float(self._table["speed"][row]),
             position=float(api.vehicle.getLanePosition(vehicle)),
-            # leaving a lane any other way than over its end, SUMO still counts all of it as driven
-            counted_twice=float(api.lane.getLength(last)) if source == last else 0.0,
-            gaps=self._gaps(vehicle, left=_index(lane) > _index(source)),
+            gaps=self._gaps(vehicle, left=index_of(lane) > index_of(source)),
         )
 
     def _gaps(self, vehicle: str, left: bool) -> dict[str, tuple[float, float, float]]:
@@ -122,11 +104,3 @@ class LaneChanges:
             follower, api.getSpeed(follower), api.getSpeed(leader), api.getDecel(leader), leader
         )
         return beyond + float(api.getMinGap(follower)), float(safe)
-
-
-def _edge(lane: str) -> str:
-    return lane.rpartition("_")[0]
-
-
-def _index(lane: str) -> int:
-    return int(lane.rpartition("_")[2])

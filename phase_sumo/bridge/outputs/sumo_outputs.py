@@ -1,13 +1,12 @@
 """SUMO's own output files, made right for vehicles under the policy once SUMO has closed them.
 
-SUMO writes no lane change of a moved vehicle, takes it for one straight box, and counts a lane twice in its
-route length when it is left sideways. README says which outputs need nothing.
+SUMO writes no lane change of a moved vehicle, takes it for one straight box, and counts whole lanes in its route
+length that it left sideways or was put back from. README says which outputs need nothing.
 """
 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Container
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,8 @@ from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 from phase_sumo.bridge.fleet.event_log import Event, under_policy
 from phase_sumo.bridge.fleet.scene import REMOVED_BY_SUMO, Scene
 from phase_sumo.bridge.outputs.lane_changes import LaneChange, LaneChanges
+from phase_sumo.bridge.outputs.lane_ways import LaneWays
+from phase_sumo.bridge.outputs.route_lengths import RouteLengths
 from phase_sumo.bridge.outputs.sumo_xml import merge_by_time, read_output, write_output
 
 OUTPUTS = ("tripinfo-output", "collision-output", "lanechange-output", "statistic-output")
@@ -39,14 +40,18 @@ class SumoOutputs:
         self._path = {name: _path(scene.api, name) for name in OUTPUTS}
         self._dated = scene.api.simulation.getOption("human-readable-time").lower() == "true"
         self._precision = int(scene.api.simulation.getOption("precision"))
-        self._changes = LaneChanges(scene.session, scene.table, scene.types, scene.events)
-        self._watch = any(name in wanted for name in OUTPUTS if name != "collision-output")
+        ways = LaneWays(scene.api)
+        self._changes = LaneChanges(scene.session, scene.table, scene.types, scene.events, ways)
+        self._lengths = RouteLengths(scene, ways)
+        self._gained: list[tuple[float, float]] = []  # by the correction of each trip: m, and m/s of its mean
         self.warnings: list[str] = []
 
     def update(self) -> None:
         """After every step."""
-        if self._watch:
+        if "lanechange-output" in self._wanted:
             self._changes.update()
+        if "tripinfo-output" in self._wanted or "statistic-output" in self._wanted:
+            self._lengths.update()
 
     def settle(self) -> None:
         """After SUMO closed its files: trips it ended on its own are marked, and the files put right."""
@@ -81,15 +86,19 @@ class SumoOutputs:
         tree = self._read("tripinfo-output")
         if tree is None:
             return
-        twice = self._counted_twice()
         for element in tree.iterfind("tripinfo"):
-            vehicle = element.get("id")
             self._mark_removed(element)
-            if vehicle in twice:
-                length = float(element.get("routeLength")) - twice[vehicle]
-                element.set("routeLength", self._number(length))
-        if twice:
+            self._correct_length(element)
+        if self._gained:
             self._write("tripinfo-output", tree)
+
+    def _correct_length(self, element: Any) -> None:
+        vehicle, lane, position = (element.get(name) for name in ("id", "arrivalLane", "arrivalPos"))
+        right = self._lengths.until(vehicle, lane, float(position))
+        if right is not None:
+            gain, duration = right - float(element.get("routeLength")), float(element.get("duration"))
+            self._gained.append((gain, gain / duration if duration else 0.0))
+            element.set("routeLength", self._number(right))
 
     def _mark_removed(self, element: Any) -> None:
         """SUMO lists vehicles that calibrators, vaporizers or a user took out as arrived."""
@@ -108,12 +117,6 @@ class SumoOutputs:
             events.sort(key=lambda event: event.time)
         known.reason = trip.removed = reason
         trip.arrive, trip.seconds = math.nan, float(element.get("duration"))
-
-    def _counted_twice(self) -> dict[str, float]:
-        twice: dict[str, float] = defaultdict(float)
-        for change in self._changes.changes:
-            twice[change.vehicle] += change.counted_twice
-        return dict(twice)
 
     def _lane_changes(self) -> None:
         tree = self._read("lanechange-output")
@@ -184,15 +187,11 @@ class SumoOutputs:
             return
         if collisions is not None:
             tree.find("safety").set("collisions", str(collisions))
-        trips, mean = self._scene.trips, tree.find("vehicleTripStatistics")
+        mean = tree.find("vehicleTripStatistics")
         count = int(mean.get("count"))
-        running = self._scene.facts if count < len(trips) else {}  # those are not among its trips then
-        twice = {v: metres for v, metres in self._counted_twice().items() if v not in running}
-        if count:
-            length = float(mean.get("routeLength")) - sum(twice.values()) / count
-            faster = sum(metres / trips[v].seconds for v, metres in twice.items()) / count
-            mean.set("routeLength", self._number(length))
-            mean.set("speed", self._number(float(mean.get("speed")) - faster))
+        if self._gained:
+            for name, gained in zip(("routeLength", "speed"), zip(*self._gained, strict=True), strict=True):
+                mean.set(name, self._number(float(mean.get(name)) + sum(gained) / count))
         self._write("statistic-output", tree)
 
     def _number(self, value: float) -> str:
