@@ -122,7 +122,7 @@ class PhaseFleet(StepListener):
             )
         self._last, self._pending = time, False
         self.scene.update()
-        if self._fleet:
+        if self._fleet and not self._closed:
             self._fleet.follow_sumo(time)
         self._contacts.update(self.scene.table, time, self.scene.types)
         if self._trailers:
@@ -184,7 +184,9 @@ class PhaseFleet(StepListener):
         if self._pending:
             self._pending = False
             with suppress(PhaseError, self.simulation.failed):  # SUMO may have ended already
-                self.simulation.step()
+                if self.simulation.time <= self._last:
+                    self.simulation.step()
+                self.observe()
 
     def report(self) -> dict[str, Any]:
         """What came of the vehicles so far, by the names of the command line's JSON."""

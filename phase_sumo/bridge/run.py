@@ -7,7 +7,7 @@ import math
 import tempfile
 import time as clock
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, Literal
@@ -99,7 +99,7 @@ def run_scenario(
             end=end,
         )
         stop = end if end is not None else scenario.end
-        with Session(args, work_dir, gui, over_traci) as simulation:
+        with ExitStack() as ended, Session(args, work_dir, gui, over_traci) as simulation:
             fleet = PhaseFleet(
                 simulation.api,
                 driver,
@@ -113,14 +113,18 @@ def run_scenario(
                 drives=phase,
             )
             outputs = SumoOutputs(fleet.scene, [name for name in OUTPUTS if scenario.value(name)])
+            ended.callback(outputs.settle)  # however the run ends
             period = max(RECORD_PERIOD, simulation.step_length)
             recorder = Recorder(simulation.api, period) if output_dir and record else None
             try:
                 wall = _loop(simulation, fleet, outputs, stop, recorder, progress)
             finally:
                 fleet.close()
+                with suppress(
+                    simulation.refused, simulation.failed
+                ):  # a run that broke off may end in a step
+                    outputs.update()
             trajectories = recorder.finish() if recorder else None
-        outputs.settle()
         report = fleet.report()
         report["warnings"] += [*scenario.warnings, *outputs.warnings]
         rate = report["sim_seconds"] / wall if wall else math.nan

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 from itertools import pairwise
 
@@ -61,37 +63,75 @@ def slalom(monkeypatch):
     monkeypatch.setattr(Controller, "_next", follow)
 
 
-@pytest.mark.parametrize(
-    ("step", "internal", "city"),
-    [(0.1, True, (0, 3, 5)), (0.5, False, ()), (0.5, True, (5,)), (1.0, True, ()), (1.0, True, (0, 3, 5))],
-)
-def test_route_lengths_are_the_way_driven(tmp_path, slalom, step, internal, city):
-    net = road(tmp_path, internal, city)
-    wanted = ("fcd-output", "tripinfo-output", "statistic-output")
-    options = [part for name in wanted for part in (f"--{name}", str(tmp_path / f"{name}.xml"))]
-    options += ["--precision", "6", "--tripinfo-output.write-unfinished", "true"]
-    run_scenario(
-        write_scenario(tmp_path, FLOW, net=net, step=step), policy=Standin(), seed=1, end=46,
-        sumo_options=options, output_dir=tmp_path / "out", record=False,
-    )  # fmt: skip
-    turns = [e for e in read_events(tmp_path / "out" / "events.csv") if e.kind in ("adoption", "hand-back")]
-    assert len(turns) >= 9
-    assert {e.kind for e in turns} == ({"adoption", "hand-back"} if city else {"adoption"})
-    last = {}
-    for frame in etree.parse(str(tmp_path / "fcd-output.xml")).getroot():
-        last |= {v.get("id"): float(v.get("x")) for v in frame}
-    trips = etree.parse(str(tmp_path / "tripinfo-output.xml")).getroot().findall("tripinfo")
+def outputs(folder):
+    wanted = ("fcd-output", "tripinfo-output", "statistic-output", "lanechange-output")
+    options = [part for name in wanted for part in (f"--{name}", str(folder / f"{name}.xml"))]
+    return [*options, "--precision", "6", "--tripinfo-output.write-unfinished", "true"]
+
+
+def parsed(folder, name):
+    return etree.parse(str(folder / f"{name}-output.xml")).getroot()
+
+
+def check_lengths(folder, internal):
+    """Compare routeLength with x, by vehicle and in the mean; returns which trips have arrived."""
+    last = {v.get("id"): float(v.get("x")) for frame in parsed(folder, "fcd") for v in frame}
+    trips = parsed(folder, "tripinfo").findall("tripinfo")
     arrived = [float(t.get("arrival")) >= 0 for t in trips]
-    assert len(trips) == 9 and 1 < sum(arrived) < 9
-    inside = {float(lane.get("length")) for lane in etree.parse(str(net)).iterfind("edge[@function]/lane")}
-    assert sorted(inside) == ([0.1] if internal else [])  # whose ends are in one place
     length, speed = [], []
     for trip, done in zip(trips, arrived, strict=True):
         x = JOINTS[-1] if done else last[trip.get("id")]
         passed = sum(a <= x for _, a in pairwise(JOINTS)) - done
         length.append(float(trip.get("routeLength")))
         speed.append(length[-1] / float(trip.get("duration")))
+        # lanes inside junctions are 0.1 m long, and their ends are in one place
         assert length[-1] == pytest.approx(x - START + internal * 0.1 * passed, abs=0.11)
-    mean = etree.parse(str(tmp_path / "statistic-output.xml")).getroot().find("vehicleTripStatistics")
+    mean = parsed(folder, "statistic").find("vehicleTripStatistics")
     assert float(mean.get("routeLength")) == pytest.approx(np.mean(length), abs=1e-4)
     assert float(mean.get("speed")) == pytest.approx(np.mean(speed), abs=1e-4)
+    return arrived
+
+
+@pytest.mark.parametrize(
+    ("step", "internal", "city"),
+    [(0.1, True, (0, 3, 5)), (0.5, False, ()), (0.5, True, (5,)), (1.0, True, ()), (1.0, True, (0, 3, 5))],
+)
+def test_route_lengths_are_the_way_driven(tmp_path, slalom, step, internal, city):
+    net = road(tmp_path, internal, city)
+    inside = {float(lane.get("length")) for lane in etree.parse(str(net)).iterfind("edge[@function]/lane")}
+    assert sorted(inside) == ([0.1] if internal else [])
+    run_scenario(
+        write_scenario(tmp_path, FLOW, net=net, step=step), policy=Standin(), seed=1, end=46,
+        sumo_options=outputs(tmp_path), output_dir=tmp_path / "out", record=False,
+    )  # fmt: skip
+    turns = [e for e in read_events(tmp_path / "out" / "events.csv") if e.kind in ("adoption", "hand-back")]
+    assert len(turns) >= 9
+    assert {e.kind for e in turns} == ({"adoption", "hand-back"} if city else {"adoption"})
+    arrived = check_lengths(tmp_path, internal)
+    assert len(arrived) == 9 and 1 < sum(arrived) < 9
+
+
+def test_files_of_an_interrupted_run_are_right_up_to_there(tmp_path, slalom):
+    def interrupt(fraction, text):
+        if fraction > 0.45:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_scenario(
+            write_scenario(tmp_path, FLOW, net=road(tmp_path), step=0.5), policy=Standin(), seed=1, end=60,
+            sumo_options=outputs(tmp_path), output_dir=tmp_path / "out", progress=interrupt,
+        )  # fmt: skip
+    assert len(check_lengths(tmp_path, internal=True)) == 9
+    expected, last = set(), {}
+    for frame in parsed(tmp_path, "fcd"):
+        for seen in frame:
+            name, lane = seen.get("id"), seen.get("lane")
+            edge, _, index = last.get(name, lane).rpartition("_")
+            if lane.startswith(f"{edge}_") and not lane.endswith(f"_{index}"):
+                expected.add((name, float(frame.get("time")), last[name], lane))
+            last[name] = lane or last[name]
+    changes = parsed(tmp_path, "lanechange")
+    found = {(c.get("id"), float(c.get("time")), c.get("from"), c.get("to")) for c in changes}
+    assert len(expected) > 20 and found >= expected
+    assert {c.get("reason") for c in changes} == {"traci"}
+    assert not (tmp_path / "out" / "result.json").exists()

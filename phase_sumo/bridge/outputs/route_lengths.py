@@ -38,11 +38,9 @@ class RouteLengths:
 
     def update(self) -> None:
         """After a step."""
-        table, facts = self._scene.table, self._scene.facts
+        table = self._scene.table
         self._present |= {table.ids[row] for row in np.flatnonzero(table.controlled).tolist()}
-        for vehicle in self._present - facts.keys():
-            self._present.remove(vehicle)
-            self._lanes.ahead(self._ways[vehicle].lane)  # the rest of its way, while SUMO can still say it
+        self._present &= self._scene.facts.keys()
         for vehicle in self._present:
             lane = self._lane_of(vehicle)
             if not lane:
@@ -55,6 +53,7 @@ class RouteLengths:
                 further = self._between(way, lane, position)
                 metres = way.metres + (under_policy - way.policy_metres if further is None else further)
             self._ways[vehicle] = _Way(metres, lane, position, under_policy)
+            self._lanes.ahead(lane)  # for the rest of its way, should this be SUMO's last step
 
     def until(self, vehicle: str, lane: str, position: float) -> float | None:
         """Metres from the departure to a place soon after the vehicle was seen last, None if not known."""

@@ -1,7 +1,7 @@
 """SUMO's own output files, made right for vehicles under the policy once SUMO has closed them.
 
-SUMO writes no lane change of a moved vehicle, takes it for one straight box, and counts whole lanes in its route
-length that it left sideways or was put back from. README says which outputs need nothing.
+SUMO writes no lane change of a moved vehicle, takes it for one straight box, and counts whole lanes in its
+route length that it left sideways or was put back from. README says which outputs need nothing.
 """
 
 from __future__ import annotations
