@@ -114,6 +114,7 @@ def run(args: argparse.Namespace) -> Any:
             over_traci=args.traci,
             sumo_options=args.sumo_options,
             output_dir=args.out,
+            record=False,  # they would fill the memory in an hour of traffic; fcd-output is there for it
             progress=progress,
         )
     for name, value in result.items():

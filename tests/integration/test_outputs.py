@@ -14,6 +14,7 @@ import sumolib
 import torch
 from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 
+from phase_sumo.bridge.comparison.emissions import emission_tables
 from phase_sumo.bridge.fleet import fleet
 from phase_sumo.bridge.fleet.event_log import read_events, under_policy
 from phase_sumo.bridge.run import run_scenario
@@ -181,6 +182,45 @@ def test_statistics_are_the_means_of_the_trips(mixed):
     assert float(mean.get("speed")) == pytest.approx((length / duration).mean(), abs=1e-3)
     collisions = len(rows(folder / "collision-output.xml"))
     assert int(root.find("safety").get("collisions")) == collisions
+
+
+@pytest.mark.parametrize("step", [0.1, 1.0])
+def test_emissions_are_those_of_the_models_motion(tmp_path, step):
+    """By SUMO's tables for fcd's speed and acceleration, also above the speed that SUMO would allow."""
+    options = [
+        *outputs(tmp_path, "fcd-output", "tripinfo-output", "emission-output"),
+        *("--device.emissions.probability", "1", "--fcd-output.acceleration", "true", "--precision", "6"),
+        *("--tripinfo-output.write-unfinished", "true"),
+    ]
+    fast = '<param key="phase.target_speed" value="38"/></vType>'
+    demand = ROUTES.replace('speedFactor="normc(0.9,0.1,0.7,1.1)"/>', f'speedFactor="0.8">{fast}')
+    run_scenario(
+        write_scenario(tmp_path, step, demand=demand), policy=Standin(), seed=1, end=20,
+        sumo_options=options, output_dir=tmp_path / "out", record=False,
+    )  # fmt: skip
+    moved = frames(tmp_path / "fcd-output.xml")
+    emitted = frames(tmp_path / "emission-output.xml")
+    fastest, pairs, total, most = 0.0, [], defaultdict(float), defaultdict(float)
+    (name,) = {v["eclass"] for frame in emitted.values() for v in frame.values() if v["type"] == "car"}
+    table = emission_tables([name])[name]
+    for time, vehicles in emitted.items():
+        for vehicle, gases in vehicles.items():
+            total[vehicle] += step * float(gases["CO2"])
+            most[vehicle] = max(most[vehicle], step * float(gases["CO2"]))
+            speed, accel = (np.array([float(moved[time][vehicle][k])]) for k in ("speed", "acceleration"))
+            if gases["type"] == "car" and -10.0 < accel[0] < 6.0:
+                fastest = max(fastest, speed[0] / 29.0)  # the limit
+                pairs.append((float(gases["CO2"]), table.rate(table.co2, speed, accel)[0]))
+    assert fastest > 1.0
+    written, expected = np.array(pairs).T
+    assert np.abs(written - expected).mean() < 2e-3 * expected.mean()  # the tables blur the cut-off
+    sums = {
+        t.get("id"): float(t.find("emissions").get("CO2_abs")) for t in rows(tmp_path / "tripinfo-output.xml")
+    }
+    running = [v for v in max(moved.items())[1] if v in sums]
+    assert len(running) > 5
+    for vehicle in running:  # SUMO's sum leaves out the step of the insertion
+        assert sums[vehicle] == pytest.approx(total[vehicle], abs=1.01 * most[vehicle])
 
 
 def test_collisions_are_those_of_the_boxes(mixed):

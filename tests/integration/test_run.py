@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from phase_sumo.bridge.processes import run_all
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.bridge.sumo.session import Session
+from phase_sumo.cli import main
 from phase_sumo.errors import PhaseError
 from tests.standin import Standin
 
@@ -92,6 +94,22 @@ def test_bad_network_is_one_clear_error(scenario, tmp_path):
     bad.write_text("<routes><flow id='f' from='nowhere' to='main2' begin='0' end='9' period='1'/></routes>")
     with pytest.raises(PhaseError, match="nowhere"):
         run_scenario(path, phase=False)
+
+
+def test_a_window_without_a_display_is_refused_with_a_remedy(scenario, monkeypatch):
+    """SUMO would end the whole process, or be tried again for a minute over TraCI."""
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    for over_traci in (False, True):
+        with pytest.raises(PhaseError, match=r"DISPLAY is not set.*xvfb-run"):
+            run_scenario(scenario(), policy=Standin(), gui=True, over_traci=over_traci)
+
+
+def test_run_of_the_command_line_keeps_no_frames(scenario, tmp_path):
+    arguments = ["run", str(scenario()), "--share", "0", "--end", "5", "--out", str(tmp_path / "out")]
+    assert main(arguments) == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {"result.json", "events.csv", "trips.csv"}
+    assert not (tmp_path / "out" / "trajectories.npz").exists()
 
 
 def test_one_simulation_per_process(scenario, tmp_path):

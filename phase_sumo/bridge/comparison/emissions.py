@@ -1,8 +1,7 @@
 """Emission tables of SUMO's own model, one per emission class.
 
-SUMO's emission device takes the speed that SUMO holds of a vehicle, which is cut to the lane's limit for one
-that is moved from outside, and its acceleration with it. So all driver models are rated offline instead, from
-the speed and acceleration that they really drove, by what SUMO's ``emissionsMap`` says about each class.
+All driver models are rated offline from recorded speed and acceleration by what SUMO's ``emissionsMap`` says
+about each class, whether or not the run carried SUMO's emission devices.
 """
 
 from __future__ import annotations

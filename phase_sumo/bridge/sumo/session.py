@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
 import time as clock
@@ -75,6 +76,11 @@ class Session:
         if _running:
             raise PhaseError(
                 "a SUMO simulation is already running in this process; run this one in another process"
+            )
+        if self._gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+            raise PhaseError(
+                "no display for SUMO's window (DISPLAY is not set): run it on a desktop, over ssh -X, under "
+                "xvfb-run -a, or without --gui"
             )
         args = list(self._args)
         if "--error-log" not in args:
