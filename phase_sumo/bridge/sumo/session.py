@@ -64,10 +64,10 @@ class Session:
     """
 
     def __init__(self, args: list[str], work_dir: Path, gui: bool = False, over_traci: bool = False) -> None:
-        """``over_traci`` runs SUMO in a process of its own instead of through libsumo."""
+        """``over_traci`` runs SUMO in a process of its own instead of through libsumo, as a window does."""
         self._args = args
         self._gui = gui
-        self._over_traci = over_traci or (gui and not sys.platform.startswith("linux"))  # no window there
+        self._over_traci = over_traci or gui  # libsumo has windows on Linux only, and may hang closing them
         self._log = work_dir / "sumo_errors.txt"
         self._api: Any
 
