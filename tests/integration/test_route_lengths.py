@@ -111,6 +111,18 @@ def test_route_lengths_are_the_way_driven(tmp_path, slalom, step, internal, city
     assert len(arrived) == 9 and 1 < sum(arrived) < 9
 
 
+def test_trips_past_their_arrival_position_end_where_they_were_driven_to(tmp_path, slalom):
+    flow = FLOW.replace("departPos", 'arrivalPos="100" departPos')
+    result = run_scenario(
+        write_scenario(tmp_path, flow, net=road(tmp_path), step=1.0), policy=Standin(), seed=1, end=46,
+        sumo_options=outputs(tmp_path), output_dir=tmp_path / "out", record=False,
+    )  # fmt: skip
+    arrived = check_lengths(tmp_path, internal=True)
+    ends = [float(t.get("arrivalPos")) for t in parsed(tmp_path, "tripinfo").findall("tripinfo")]
+    assert ends == [250.0 if done else -1.0 for done in arrived] and any(arrived)
+    assert [w for w in result["warnings"] if w.startswith(f"{sum(arrived)} vehicles under PHASE drove past")]
+
+
 def test_files_of_an_interrupted_run_are_right_up_to_there(tmp_path, slalom):
     def interrupt(fraction, text):
         if fraction > 0.45:

@@ -8,9 +8,14 @@ HOPS = 6  # lanes, internal ones counted, that a vehicle may pass within one ste
 
 
 class LaneWays:
-    """Asks SUMO about lanes when they are first met; what is known outlives the simulation."""
+    """Asks SUMO about lanes when they are first met; what is known outlives the simulation.
+
+    Attributes:
+        length: m, of the lanes that were asked about.
+    """
 
     def __init__(self, api: Any) -> None:
+        self.length: dict[str, float] = {}
         self._lane = api.lane
         self._known: dict[str, dict[str, dict[str, float]]] = {}
 
@@ -27,7 +32,7 @@ class LaneWays:
                 for other, metres in reached.items():
                     found.setdefault(edge_of(other), {})[other] = metres
                 front = reached
-            self._known[lane] = found
+            self._known[lane], self.length[lane] = found, float(self._lane.getLength(lane))
         return self._known[lane]
 
     def towards(self, last: str, lane: str) -> tuple[str, float] | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phase_sumo.bridge.fleet.scene import Scene
-from phase_sumo.bridge.outputs.lane_ways import LaneWays
+from phase_sumo.bridge.outputs.lane_ways import LaneWays, edge_of
 from phase_sumo.bridge.sumo.session import bare
 
 
@@ -61,6 +61,12 @@ class RouteLengths:
         if way is None:
             return None
         return way.metres + (self._between(way, lane, position) or 0.0 if lane else 0.0)
+
+    def driven_to(self, vehicle: str, lane: str, position: float) -> float:
+        """Position at which a trip to ``position`` ended: the policy drives past it, to the lane's end."""
+        way = self._ways.get(vehicle)
+        passed = way is not None and edge_of(way.lane) == edge_of(lane) and position < way.position - 0.1
+        return self._lanes.length[way.lane] if way is not None and passed else position
 
     def _between(self, way: _Way, lane: str, position: float) -> float | None:
         found = self._lanes.towards(way.lane, lane)
