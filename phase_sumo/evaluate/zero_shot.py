@@ -58,7 +58,7 @@ class Scenes:
 
     Attributes:
         windows: where each is from.
-        agents: [W] rows of the recording that the slots of each world hold, in order.
+        agents: [W] rows of each window's recording that the slots of its world hold, in order.
         start: initial states, tasks and shapes.
         log: what was recorded.
         road_map: of all recordings; ``start.map_index`` tells which.
@@ -93,7 +93,7 @@ def scenes(
     agents = [agents_of(w) for w in windows]
     size = len(windows), max(map(len, agents))
     parts = [(w.recording, rows, w.begin) for w, rows in zip(windows, agents, strict=True)]
-    log = _poses(parts, windows, agents)
+    log = _poses(parts, windows)
     active = torch.zeros(size, dtype=torch.bool)
     shapes = {name: torch.zeros(size) for name in VehicleShape.__dataclass_fields__}
     shapes["truck"] = torch.zeros(size, dtype=torch.bool)
@@ -120,7 +120,7 @@ def scenes(
 
 def agents_of(window: Window) -> NDArray[np.int64]:
     """Rows of those that stay long enough, trailers in the first slots (`drive` looks for them there)."""
-    rows = window.agents[window.last - window.begin >= SHORTEST]
+    rows = np.flatnonzero(window.last - window.begin >= SHORTEST)
     towing = np.array([window.recording.kind[row] == "articulated_truck" for row in rows], np.bool_)
     return rows[np.argsort(~towing, kind="stable")]
 
@@ -131,23 +131,21 @@ def motion_of(found: Scenes, tracks: Sequence[Recording]) -> Poses:
     Args:
         tracks: for each window its agents, all of them, over its samples.
     """
-    own = [np.searchsorted(w.agents, rows) for w, rows in zip(found.windows, found.agents, strict=True)]
-    parts = [(recording, rows, 0) for recording, rows in zip(tracks, own, strict=True)]
-    return _poses(parts, found.windows, found.agents)
+    parts = [(recording, rows, 0) for recording, rows in zip(tracks, found.agents, strict=True)]
+    return _poses(parts, found.windows)
 
 
 def _poses(
     parts: Sequence[tuple[Recording, NDArray[np.int64], int]],
     windows: Sequence[Window],
-    agents: Sequence[NDArray[np.int64]],
 ) -> Poses:
     """Of the recording, rows and first sample given for each window, as long as its log lasts."""
-    slots, steps = max(map(len, agents)), max(w.steps for w in windows)
+    slots, steps = max(len(rows) for _, rows, _ in parts), max(w.steps for w in windows)
     columns = torch.full((5, len(windows), slots, steps + 1), torch.nan)
     for k, ((recording, rows, begin), window) in enumerate(zip(parts, windows, strict=True)):
         samples = np.arange(begin, begin + window.steps + 1)
         own = np.stack((*poses(recording, rows, samples), recording.speed[rows][:, samples]))
-        last = window.last[np.searchsorted(window.agents, agents[k])] - window.begin
+        last = window.last[rows] - window.begin
         own[:, np.arange(window.steps + 1) > last[:, None]] = np.nan  # what comes back is another matter
         columns[:, k, : len(rows), : window.steps + 1] = torch.from_numpy(own).float()
     return Poses(*columns)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+import weakref
+from collections import Counter
 
 import pytest
 
+from phase_sumo.bridge.rollout import protocol
 from phase_sumo.cli import main
+from phase_sumo.evaluate.logs.windows import windows
 from tests.log_files import write_commonroad, write_levelx, write_tracks
+from tests.steady_recordings import recording
 
 RATES = ("goal_rate", "agent_collision_rate", "road_collision_rate", "success_rate")
 
@@ -54,3 +59,36 @@ def test_recordings_without_a_lane_change_name_the_remedy(tmp_path, capsys, monk
     tracks = write_tracks(tmp_path / "tracks.csv")
     assert main(["evaluate", "--scenarios", f"tracks:{tracks}"]) != 0
     assert "--all-windows" in capsys.readouterr().err
+
+
+def test_no_more_windows_are_held_than_are_asked_for(monkeypatch):
+    made = [recording([(20.0, 0, 5.0), (60.0, 1, 5.5)], samples=301, name=f"r{k}") for k in range(6)]
+    cut = {r.name: windows(r, lane_changes_only=False) for r in made}
+    monkeypatch.setattr(protocol, "windows", lambda r, **_: cut[r.name])
+
+    def drawn(most: int, seed: int) -> list[tuple[str, float]]:
+        found = protocol._windows(made, True, most, seed, lambda share, text: None)
+        return [(w.recording.name, float(w.recording.x[0, w.begin])) for w in found]
+
+    every = drawn(99, 0)
+    assert len(every) == 6 * 3 and every == drawn(18, 1)
+    few = [drawn(4, seed) for seed in range(200)]
+    assert all(len(set(f)) == 4 and f == sorted(f) for f in few) and few[0] == drawn(4, 0)
+    # 200 draws of 4 in 18: 44.4 times each, with a standard deviation of 5.9
+    times = Counter(window for f in few for window in f)
+    assert all(abs(times[window] - 200 * 4 / 18) < 4 * 5.9 for window in every)
+
+
+def test_one_recording_is_in_memory_at_a_time():
+    held: list[weakref.ref] = []
+
+    def recordings():
+        for name in "abc":
+            made = recording([(20.0, 0, 5.0)], samples=101, name=name)
+            assert not any(other() for other in held)
+            held.append(weakref.ref(made))
+            yield made
+            del made
+
+    assert len(protocol._windows(recordings(), True, 9, 0, lambda share, text: None)) == len(held) == 3
+    assert not any(other() for other in held)

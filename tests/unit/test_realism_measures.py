@@ -76,7 +76,8 @@ def test_likelihood_of_one_bin_by_hand():
 
 def test_a_scene_ends_where_the_log_loses_a_vehicle():
     whole = recording([(50.0, 0, 10.0), (90.0, 1, 12.0), (10.0, 2, 9.0)], samples=31)
-    window = Window(whole, 5, 20, np.array([2, 0]), np.array([25, 15]), 0)
+    rows = np.array([2, 0])
+    window = Window(whole.cut(rows, 0, 31), rows, 5, 20, np.array([25, 15]), 0, np.full(2, 10.0))
     log = recorded(window)
     assert log.present.sum(1).tolist() == [21, 11]
     assert log.x[0] == pytest.approx(whole.x[2, 5:26])

@@ -11,8 +11,8 @@ from phase_sumo.bridge.maps.network import read_network
 from phase_sumo.bridge.rollout.rollout import roll_out
 from phase_sumo.bridge.rollout.sumo_road import write_road
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.logs.recording import Window
 from phase_sumo.evaluate.logs.sources import open_source
+from phase_sumo.evaluate.logs.windows import windows
 from phase_sumo.evaluate.realism.places import places
 from phase_sumo.evaluate.realism.road import extended
 from tests.standin import Standin
@@ -45,7 +45,7 @@ def test_lanes_lie_in_sumo_where_they_were(tmp_path, radius):
 
 @pytest.mark.skipif(not US101.exists(), reason="recorded scenes (shared/data) are not beside the repository")
 def test_a_recorded_map_keeps_its_place(tmp_path):
-    recorded = open_source(f"commonroad:{US101 / 'USA_US101-23_1_T-1.xml'}")[0]
+    (recorded,) = open_source(f"commonroad:{US101 / 'USA_US101-23_1_T-1.xml'}")
     back = read_network(write_road(recorded.network, tmp_path).path, "all")
     lines = [lane.points for lane in back.lanes]
     distance = [farthest(lane.points, lines) for lane in recorded.network.lanes]
@@ -57,9 +57,10 @@ def test_a_recorded_map_keeps_its_place(tmp_path):
 @pytest.mark.parametrize("radius", [0.0, 400.0])
 def test_rollouts_start_as_recorded_and_drive_on(tmp_path, model, radius):
     log = recording(CARS, radius=radius, lengths=[4.6, 18.0, 4.6, 4.6])
-    window = Window(log, 0, 20, np.arange(4), np.full(4, 20), 0)
+    (window,) = windows(log, 2.0, lane_changes_only=False, shortest=2.0, stride=2.0)
     longer = extended(log.network, 60.0, 300.0)
-    found = roll_out(window, write_road(longer, tmp_path), places(log, longer), model, Standin())
+    where = places(window.recording, longer)
+    found = roll_out(window, write_road(longer, tmp_path), where, model, Standin())
     assert found.present.all()
     assert found.x.shape == (4, 21)
     assert found.x[:, 0] == pytest.approx(log.x[:, 0], abs=0.02)
@@ -73,9 +74,9 @@ def test_rollouts_start_as_recorded_and_drive_on(tmp_path, model, radius):
 
 def test_the_same_seed_gives_the_same_rollout(tmp_path):
     log = recording(CARS)
-    window, longer = Window(log, 0, 10, np.arange(4), np.full(4, 10), 0), extended(log.network, 60.0, 200.0)
-    sumo = write_road(longer, tmp_path)
-    first, again = (roll_out(window, sumo, places(log, longer), "idm", seed=2) for _ in range(2))
+    window, longer = windows(log, 1.0, False, shortest=1.0)[0], extended(log.network, 60.0, 200.0)
+    sumo, where = write_road(longer, tmp_path), places(window.recording, longer)
+    first, again = (roll_out(window, sumo, where, "idm", seed=2) for _ in range(2))
     assert np.array_equal(first.x, again.x)
 
 

@@ -27,20 +27,19 @@ def roll_out_all(
 ) -> Iterator[tuple[Window, LaneNetwork, dict[str, Recording]]]:
     """Every window, its road with room beyond its ends, and its agents' tracks by model (see `roll_out`).
 
-    Windows come recording by recording, since each one's road is made once.
+    Windows come road by road, since each is made once.
     """
-    by_recording: dict[int, list[Window]] = {}
+    by_road: dict[int, list[Window]] = {}
     for window in windows:
-        by_recording.setdefault(id(window.recording), []).append(window)
+        by_road.setdefault(id(window.recording.network), []).append(window)
     done = 0
-    for of_recording in by_recording.values():
-        recording = of_recording[0].recording
-        after = ROOM + FASTEST * max(w.steps for w in of_recording) * PERIOD
-        road = extended(recording.network, BEFORE, after)
-        where = places(recording, road)
+    for of_road in by_road.values():
+        after = ROOM + FASTEST * max(w.steps for w in of_road) * PERIOD
+        road = extended(of_road[0].recording.network, BEFORE, after)
         with tempfile.TemporaryDirectory(prefix="phase_sumo_") as temporary:
             sumo = write_road(road, Path(temporary))
-            for window in of_recording:
-                progress(done / len(windows), f"rollouts, {recording.name}")
+            for window in of_road:
+                progress(done / len(windows), f"rollouts, {window.recording.name}")
                 done += 1
+                where = places(window.recording, road)
                 yield window, road, {m: roll_out(window, sumo, where, m, driver, seed) for m in models}

@@ -16,7 +16,6 @@ CLASSES: dict[Kind, str] = {"car": "passenger", "rigid_truck": "truck", "articul
 LONGEST_RIGID = 12.5  # m: SUMO's class truck bends for us from here on, a bus does not
 SPEEDS = (3.0, 40.0)  # m/s that a driver may want, those that the policy is trained for
 NEAR_END = 5.0  # m of a lane at either end that netconvert may cut off for a junction
-SHARE = 85.0  # percentile of the speeds in a lane that its drivers want to drive
 
 
 @dataclass(frozen=True)
@@ -46,40 +45,36 @@ def start_of(window: Window, road: SumoRoad, places: Places) -> Start:
     """The agents of a window at its begin.
 
     Args:
-        places: where all samples of the recording lie on the road's lanes.
+        places: where the samples of the window's recording lie on the road's lanes.
     """
-    r, at, rows = window.recording, window.begin, window.agents
-    lane = places.lane[rows, at]
-    final = places.lane[rows, window.last]
-    half = 0.5 * r.length[rows]
-    yaw = r.yaw[rows, at]
+    r, at = window.recording, window.begin
+    lane = places.lane[:, at]
+    final = places.lane[np.arange(len(lane)), window.last]
+    half = 0.5 * r.length
+    yaw = r.yaw[:, at]
     routes = tuple(
         tuple(road.route(road.edge[a], road.edge[b]))
         for a, b in zip(lane.tolist(), final.tolist(), strict=True)
     )
     return Start(
-        r.x[rows, at] + half * np.cos(yaw),
-        r.y[rows, at] + half * np.sin(yaw),
+        r.x[:, at] + half * np.cos(yaw),
+        r.y[:, at] + half * np.sin(yaw),
         yaw,
-        r.speed[rows, at],
-        desired_speeds(window, places),
+        r.speed[:, at],
+        desired_speeds(window),
         np.array(road.number)[lane],
-        np.clip(places.position[rows, at] + half, NEAR_END, np.array(road.length)[lane] - NEAR_END),
+        np.clip(places.position[:, at] + half, NEAR_END, np.array(road.length)[lane] - NEAR_END),
         routes,
     )
 
 
-def desired_speeds(window: Window, places: Places) -> np.ndarray:
-    """[N] m/s: the 85th percentile of all speeds recorded in the lane a vehicle starts in, or its own first.
+def desired_speeds(window: Window) -> np.ndarray:
+    """[N] m/s: what drivers of its lane like to drive (`Window.lane_speed`), or a vehicle's own first speed.
 
     The greater of the two, within 3..40 m/s. Logs do not tell what a driver in a queue would like to drive;
     every model gets the same.
     """
-    r, rows = window.recording, window.agents
-    lane = places.lane[rows, window.begin]
-    common = {int(k): float(np.percentile(r.speed[places.lane == k], SHARE)) for k in np.unique(lane)}
-    wanted = np.array([common[int(k)] for k in lane])
-    return np.clip(np.maximum(wanted, r.speed[rows, window.begin]), *SPEEDS)
+    return np.clip(np.maximum(window.lane_speed, window.recording.speed[:, window.begin]), *SPEEDS)
 
 
 def write_demand(window: Window, start: Start, model: str, path: Path) -> list[str]:
@@ -89,12 +84,12 @@ def write_demand(window: Window, start: Start, model: str, path: Path) -> list[s
     drive.
     """
     r, names, lines = window.recording, [], []
-    for row in window.agents.tolist():
-        name, kind, length = f"v{row}", r.kind[row], float(r.length[row])
+    for k, row in enumerate(window.agents.tolist()):
+        name, kind, length = f"v{row}", r.kind[k], float(r.length[k])
         vclass = "bus" if kind == "rigid_truck" and length > LONGEST_RIGID else CLASSES[kind]
         lines.append(
             f'<vType id="t{row}" vClass="{vclass}" carFollowModel={quoteattr(model)} length="{length:.2f}" '
-            f'width="{r.width[row]:.2f}" maxSpeed="60" speedDev="0"/>'
+            f'width="{r.width[k]:.2f}" maxSpeed="60" speedDev="0"/>'
         )
         names.append(name)
     for k, row in enumerate(window.agents.tolist()):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -63,9 +64,8 @@ def evaluate_logs(
         PhaseError: a source cannot be read, or there is no window.
     """
     report = progress or (lambda share, text: None)
-    report(0.0, "recordings")
-    recordings = [r for source in sources for r in open_source(source, read_road)]
-    chosen = _windows(recordings, all_windows, most, seed)
+    opened = [open_source(source, read_road) for source in sources]  # all, before the first is read
+    chosen = _windows(chain.from_iterable(opened), all_windows, most, seed, report)
     networks = list({id(w.recording.network): w.recording.network for w in chosen}.values())
     parts = _scenes(chosen, networks, merge([_road_map(network) for network in networks]), seed)
 
@@ -93,17 +93,34 @@ def evaluate_logs(
     return result
 
 
-def _windows(recordings: Sequence[Recording], all_windows: bool, most: int, seed: int) -> list[Window]:
-    found = [w for r in recordings for w in windows(r, lane_changes_only=not all_windows)]
-    found = [w for w in found if len(agents_of(w))]
-    if not found:
+def _windows(
+    recordings: Iterable[Recording],
+    all_windows: bool,
+    most: int,
+    seed: int,
+    report: Callable[[float, str], None],
+) -> list[Window]:
+    """``most`` windows at most, in their order, each as likely to be kept as any other.
+
+    Every window draws a number, and those with the least are kept, so that none needs to wait for the last
+    recording.
+    """
+
+    def cut(recording: Recording) -> list[Window]:
+        report(0.0, f"reading, {recording.name}")
+        return [w for w in windows(recording, lane_changes_only=not all_windows) if len(agents_of(w))]
+
+    rng, kept = np.random.default_rng(seed), list[tuple[float, Window]]()
+    for found in map(cut, recordings):  # a loop over the recordings would hold one while it reads the next
+        kept += zip(rng.random(len(found)).tolist(), found, strict=True)
+        if len(kept) > most:
+            limit = sorted(number for number, _ in kept)[most - 1]
+            kept = [(number, window) for number, window in kept if number <= limit]
+    if not kept:
         raise PhaseError(
             "the recordings hold no window with a lane change; pass --all-windows, or other recordings"
         )
-    if len(found) <= most:
-        return found
-    kept = np.random.default_rng(seed).choice(len(found), most, replace=False)
-    return [found[k] for k in sorted(kept.tolist())]
+    return [window for _, window in kept]
 
 
 def _scenes(

@@ -15,9 +15,8 @@ from phase_sumo.bridge.maps.lanelet2 import read_road
 from phase_sumo.bridge.rollout.batch import roll_out_all
 from phase_sumo.bridge.rollout.figure import cluster_figure
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.logs.recording import Recording, Window
+from phase_sumo.evaluate.logs.recording import Recording
 from phase_sumo.evaluate.logs.sources import open_source
-from phase_sumo.evaluate.logs.windows import windows
 from phase_sumo.evaluate.realism import comparison as compare
 from phase_sumo.evaluate.realism.comparison import Comparison, Traffic
 from phase_sumo.evaluate.realism.encoder import Encoder, Training, train
@@ -25,12 +24,12 @@ from phase_sumo.evaluate.realism.features import features, trajectories
 from phase_sumo.evaluate.realism.measures import HISTOGRAMS, lane_change_rate, likelihoods
 from phase_sumo.evaluate.realism.quantities import Quantities, quantities
 from phase_sumo.evaluate.realism.scenes import alike, recorded
+from phase_sumo.evaluate.realism.selection import Selection, select
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.lanes import LaneNetwork
 
 Progress = Callable[[float, str], None]
 SECONDS = 5.0  # length of a window
-TRAINING_STRIDE = 1.0  # s from one window that the encoder learns from to the next
 TRAINING_STEPS = 300
 MAX_WINDOWS = 64  # tested, spread evenly over those that there are
 LOG = "log"
@@ -85,24 +84,22 @@ def realism(
     report = progress or (lambda share, text: None)
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
-    recordings = [open_source(source, read_road) for source in sources]
-    report(0.0, "encoder")
-    if encoder is None:
-        learnt = [r for of_source in recordings for r in of_source[::2]]
-        trained = _train(learnt, seconds, seed, lambda share, text: report(0.5 * share, text))
-        trained.save(folder / "encoder.safetensors")
-    else:
-        trained = Encoder.load(encoder)
-        seconds = trained.training.seconds
-    known = set(trained.training.recordings)
-    tested = [r for of_source in recordings for r in of_source if r.name not in known]
-    if not tested:
+    opened = [open_source(source, read_road) for source in sources]  # all, before the first is read
+    given = None if encoder is None else Encoder.load(encoder)
+    seconds = given.training.seconds if given else seconds
+    known = given.training.recordings if given else None
+    found = select(opened, known, seconds, most, lambda name: report(0.0, f"reading, {name}"))
+    if not found.tested:
         raise PhaseError(
-            "the encoder was trained on all of these recordings; pass more logs, or an --encoder of others"
+            f"no window of {seconds:g} s to test on: the encoder was trained on all of these recordings, or "
+            "the others are shorter; pass more logs, or an --encoder of others"
         )
+    trained = given or _train(found, seconds, seed, lambda share, text: report(0.5 * share, text))
+    if given is None:
+        trained.save(folder / "encoder.safetensors")
     scenes = []
     for window, road, tracks in roll_out_all(
-        _spread(_windows(tested, seconds, seconds), most),
+        found.tested,
         [m.name for m in chosen],
         driver,
         seed,
@@ -125,22 +122,9 @@ def realism(
     }
 
 
-def _windows(recordings: Sequence[Recording], seconds: float, stride: float) -> list[Window]:
-    """Whole windows of all recordings."""
-    return [w for r in recordings for w in windows(r, seconds, False, stride, shortest=seconds)]
-
-
-def _spread(found: list[Window], most: int) -> list[Window]:
-    if len(found) <= most:
-        return found
-    return [found[k] for k in np.linspace(0, len(found) - 1, most).round().astype(int)]
-
-
-def _train(recordings: Sequence[Recording], seconds: float, seed: int, progress: Progress) -> Encoder:
-    scenes = [recorded(window) for window in _windows(recordings, seconds, TRAINING_STRIDE)]
-    inputs = [features(scene, trajectories(scene)) for scene in scenes]
-    names = tuple(r.name for r in recordings)
-    return train(inputs, Training(seconds, names, sum(map(len, inputs)), TRAINING_STEPS, seed), progress)
+def _train(found: Selection, seconds: float, seed: int, progress: Progress) -> Encoder:
+    size = sum(map(len, found.learnt))
+    return train(found.learnt, Training(seconds, tuple(found.names), size, TRAINING_STEPS, seed), progress)
 
 
 def _compared(scenes: Sequence[Scene], models: list[str], encoder: Encoder, seed: int) -> dict[str, Any]:

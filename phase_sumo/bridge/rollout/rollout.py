@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ def roll_out(
 
     Args:
         road: the recording's, with room beyond its ends.
-        places: where the recorded vehicles are on it.
+        places: where the samples of the window's recording are on it.
         model: ``"phase"`` or a car-following model of SUMO.
         driver: the policy of ``"phase"``.
         seed: SUMO's, and of the action ranges alpha.
@@ -67,7 +68,7 @@ def roll_out(
                 scene = Scene(simulation, None)
                 samples = _drive(simulation, scene, scene.update, _nothing, names, start, window.steps)
     x, y, yaw, speed, there = (values.T for values in samples)
-    return window.with_motion(there > 0, x, y, yaw, speed)
+    return replace(window.recording, present=there > 0, x=x, y=y, yaw=yaw, speed=speed)
 
 
 def _place(simulation: Simulation, names: list[str], start: Start) -> None:

@@ -27,6 +27,21 @@ FloatArray = NDArray[np.float64]
 VEHICLES = frozenset({"car", "truck", "bus", "motorcycle", "taxi", "priorityVehicle"})
 
 
+def file_reader(path: Path) -> Any:
+    """CommonRoad's own reader.
+
+    Raises:
+        PhaseError: commonroad-io is not installed; ``path`` is what needs it.
+    """
+    try:
+        from commonroad.common.file_reader import CommonRoadFileReader
+    except ImportError as error:
+        raise PhaseError(
+            f"{path}: CommonRoad files need commonroad-io ({error}); pip install 'phase-sumo[commonroad]'"
+        ) from None
+    return CommonRoadFileReader
+
+
 def read_commonroad(path: str | Path) -> Recording:
     """One scenario.
 
@@ -35,14 +50,9 @@ def read_commonroad(path: str | Path) -> Recording:
             lanelets.
     """
     path = Path(path)
+    reader = file_reader(path)
     try:
-        from commonroad.common.file_reader import CommonRoadFileReader
-    except ImportError as error:
-        raise PhaseError(
-            f"{path}: CommonRoad files need commonroad-io ({error}); pip install 'phase-sumo[commonroad]'"
-        ) from None
-    try:
-        scenario, _ = CommonRoadFileReader(str(path)).open()
+        scenario, _ = reader(str(path)).open()
     except OSError as error:
         raise PhaseError(f"{path}: cannot be read ({error.strerror}); pass an existing file") from None
     except Exception as error:  # the library raises whatever its parsers do

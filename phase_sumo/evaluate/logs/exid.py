@@ -13,7 +13,7 @@ import numpy as np
 
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.logs.kinds import kind_of
-from phase_sumo.evaluate.logs.levelx import Drone, read_drone
+from phase_sumo.evaluate.logs.levelx import Drone, open_drone
 from phase_sumo.evaluate.logs.quality import finished
 from phase_sumo.evaluate.logs.recording import Recording
 from phase_sumo.evaluate.logs.sampling import on_grid
@@ -67,6 +67,15 @@ def _number(name: str) -> int:
     return int(found[0]) if found else -1
 
 
+def check_exid(path: Path, roads: ExidRoads) -> None:
+    """Look at the headers of a recording, and at its map.
+
+    Raises:
+        PhaseError: a file, column or map is missing.
+    """
+    _road(_files(path), roads)
+
+
 def read_exid(path: str | Path, roads: ExidRoads) -> Recording:
     """One recording.
 
@@ -74,23 +83,30 @@ def read_exid(path: str | Path, roads: ExidRoads) -> Recording:
         PhaseError: a file or column is missing, or vehicles are not on the map's road.
     """
     path = Path(path)
-    drone = read_drone(path, "trackId", COLUMNS, ("width", "length", "class"), ("locationId", *ORIGIN))
-    return finished(_recording(path, drone, roads), path)
+    return finished(_recording(path, _files(path), roads), path)
+
+
+def _files(path: Path) -> Drone:
+    return open_drone(path, "trackId", COLUMNS, ("width", "length", "class"), ("locationId", *ORIGIN))
+
+
+def _road(drone: Drone, roads: ExidRoads) -> LaneNetwork:
+    about = drone.recording
+    origin = float(about.floats(ORIGIN[0])[0]), float(about.floats(ORIGIN[1])[0])
+    return roads.at(int(about.integers("locationId")[0]), origin)
 
 
 def _recording(path: Path, drone: Drone, roads: ExidRoads) -> Recording:
     x, y, heading, vx, vy = (drone.tracks.floats(name) for name in COLUMNS)
     yaw = np.deg2rad(heading)
     columns = np.stack((x, y, np.cos(yaw), np.sin(yaw), np.hypot(vx, vy)))
-    grid = on_grid(path, drone.row, drone.time, columns, len(drone.meta))
+    grid = on_grid(path, drone.rows(), drone.times(), columns, len(drone.meta))
     length = drone.meta.floats("length")
     classes = drone.meta.text("class")
-    about = drone.recording
-    origin = float(about.floats(ORIGIN[0])[0]), float(about.floats(ORIGIN[1])[0])
     return Recording(
         name=f"exid/{drone.number}",
         source="exid",
-        network=roads.at(int(about.integers("locationId")[0]), origin),
+        network=_road(drone, roads),
         present=grid.present,
         x=grid.values[0],
         y=grid.values[1],

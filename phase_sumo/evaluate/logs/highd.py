@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.logs.kinds import kind_of
-from phase_sumo.evaluate.logs.levelx import Drone, read_drone
+from phase_sumo.evaluate.logs.levelx import Drone, open_drone
 from phase_sumo.evaluate.logs.quality import finished
 from phase_sumo.evaluate.logs.recording import Recording
 from phase_sumo.evaluate.logs.roads import SPEED_LIMIT, Carriageway, straight_road
@@ -26,6 +26,17 @@ COLUMNS = ("x", "y", "width", "height", "xVelocity", "yVelocity")
 UPPER, LOWER = "upperLaneMarkings", "lowerLaneMarkings"
 
 
+def highd_files(path: Path) -> Drone:
+    """The files of one recording, of which the headers are read.
+
+    Raises:
+        PhaseError: a file or column is missing.
+    """
+    return open_drone(
+        path, "id", COLUMNS, ("width", "height", "class", "drivingDirection"), (UPPER, LOWER), ("speedLimit",)
+    )
+
+
 def read_highd(path: str | Path) -> Recording:
     """One recording, both directions of it.
 
@@ -33,16 +44,13 @@ def read_highd(path: str | Path) -> Recording:
         PhaseError: a file or column is missing.
     """
     path = Path(path)
-    drone = read_drone(
-        path, "id", COLUMNS, ("width", "height", "class", "drivingDirection"), (UPPER, LOWER), ("speedLimit",)
-    )
-    return finished(_recording(path, drone), path)
+    return finished(_recording(path, highd_files(path)), path)
 
 
 def _recording(path: Path, drone: Drone) -> Recording:
     x, y, length, width, vx, vy = (drone.tracks.floats(name) for name in COLUMNS)
     x, y = x + 0.5 * length, -(y + 0.5 * width)
-    grid = on_grid(path, drone.row, drone.time, np.stack((x, y, np.hypot(vx, vy))), len(drone.meta))
+    grid = on_grid(path, drone.rows(), drone.times(), np.stack((x, y, np.hypot(vx, vy))), len(drone.meta))
     upper = drone.meta.integers("drivingDirection") == 1
     sizes, classes = drone.meta.floats("width"), drone.meta.text("class")
     xs, ys, speed = grid.values

@@ -87,7 +87,7 @@ def lane_changes(recording: Recording, places: LanePlaces) -> LaneChanges:
     same = _same(recording.network)
     changed = (vehicle[1:] == vehicle[:-1]) & ~same[lane[:-1], lane[1:]]
     # within one presence: nobody is followed over a gap
-    missing = np.cumsum(~recording.present, axis=1)
+    missing = np.cumsum(~recording.present, axis=1, dtype=np.int32)
     changed &= missing[vehicle[1:], sample[1:]] == missing[vehicle[:-1], sample[:-1]]
     at = np.flatnonzero(changed)
     left = np.array(

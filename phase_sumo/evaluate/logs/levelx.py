@@ -21,18 +21,38 @@ class Drone:
 
     Attributes:
         number: how their names begin, e.g. "07".
+        identity: column that names the vehicle, in tracks and meta.
         tracks, meta: samples of all vehicles, and the vehicles.
         recording: one line about the place and the time.
-        row: [S] line of ``meta`` of each sample.
-        time: [S] s.
     """
 
     number: str
+    identity: str
     tracks: Table
     meta: Table
     recording: Table
-    row: NDArray[np.int64]
-    time: NDArray[np.float64]
+
+    def rows(self) -> NDArray[np.int64]:
+        """[S] line of ``meta`` of each sample."""
+        known, own = self.meta.integers(self.identity), self.tracks.integers(self.identity)
+        order = np.argsort(known)
+        row = order[np.minimum(np.searchsorted(known, own, sorter=order), len(known) - 1)]
+        if (known[row] != own).any():
+            missing = own[known[row] != own][0]
+            raise PhaseError(
+                f"{self.meta.path}: no line for {self.identity} {missing}, which {self.tracks.path.name} "
+                "has; download both again"
+            )
+        return row
+
+    def times(self) -> NDArray[np.float64]:
+        """[S] s of each sample."""
+        rate = float(self.recording.floats("frameRate")[0])
+        if not rate > 0:
+            raise PhaseError(
+                f"{self.recording.path}: frameRate {rate:g}: expected frames per second, such as 25"
+            )
+        return self.tracks.floats("frame") / rate
 
 
 def drone_files(path: Path) -> list[Path]:
@@ -49,7 +69,7 @@ def drone_files(path: Path) -> list[Path]:
     )
 
 
-def read_drone(
+def open_drone(
     path: Path,
     identity: str,
     columns: Sequence[str],
@@ -57,7 +77,7 @@ def read_drone(
     recording: Sequence[str],
     optional: Sequence[str] = (),
 ) -> Drone:
-    """The three files of a recording.
+    """The three files of a recording, of which the headers are read.
 
     Args:
         path: ``NN_tracks.csv``.
@@ -66,18 +86,10 @@ def read_drone(
         optional: of the last, taken where it has them.
     """
     number = path.name.removesuffix(TRACKS)
-    tracks = Table(path, (identity, "frame", *columns))
-    vehicles = Table(path.with_name(number + META), (identity, *meta))
-    about = Table(path.with_name(number + RECORDING), ("frameRate", *recording), optional)
-    known, own = vehicles.integers(identity), tracks.integers(identity)
-    order = np.argsort(known)
-    row = order[np.minimum(np.searchsorted(known, own, sorter=order), len(known) - 1)]
-    if (known[row] != own).any():
-        missing = own[known[row] != own][0]
-        raise PhaseError(
-            f"{vehicles.path}: no line for {identity} {missing}, which {path.name} has; download both again"
-        )
-    rate = float(about.floats("frameRate")[0])
-    if not rate > 0:
-        raise PhaseError(f"{about.path}: frameRate {rate:g}: expected frames per second, such as 25")
-    return Drone(number, tracks, vehicles, about, row, tracks.floats("frame") / rate)
+    return Drone(
+        number,
+        identity,
+        Table(path, (identity, "frame", *columns)),
+        Table(path.with_name(number + META), (identity, *meta)),
+        Table(path.with_name(number + RECORDING), ("frameRate", *recording), optional),
+    )

@@ -10,6 +10,7 @@ Lanes are straight and as long as the road, where their vehicles drive in the me
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -62,8 +63,8 @@ REQUIRED = (
 )
 
 
-def read_ngsim(path: str | Path) -> list[Recording]:
-    """A recording for every place and period in the file.
+def read_ngsim(path: str | Path) -> Iterator[Recording]:
+    """A recording for every place and period in the file, one by one; its header is looked at before.
 
     Frames count from the begin of a period, so that Global_Time less Frame_ID tells periods apart, in which
     ids repeat.
@@ -72,7 +73,10 @@ def read_ngsim(path: str | Path) -> list[Recording]:
         PhaseError: the file cannot be read as described above.
     """
     path = Path(path)
-    table = Table(path, REQUIRED, ("Location",), names=NAMES)
+    return _recordings(path, Table(path, REQUIRED, ("Location",), names=NAMES))
+
+
+def _recordings(path: Path, table: Table) -> Iterator[Recording]:
     begin = table.floats("Global_Time") - 100.0 * table.floats("Frame_ID")
     minute = np.rint(begin / 60_000.0).astype(np.int64)
     minute -= minute.min()
@@ -80,7 +84,8 @@ def read_ngsim(path: str | Path) -> list[Recording]:
         table.text("Location") if "Location" in table else np.full(len(table), path.name.partition(".")[0])
     )
     group = np.char.add(np.char.add(place, "/"), minute.astype(np.str_))
-    return [_recording(path, table, group == name, str(name)) for name in np.unique(group)]
+    for name in np.unique(group):
+        yield _recording(path, table, group == name, str(name))
 
 
 def _recording(path: Path, table: Table, mask: NDArray[np.bool_], name: str) -> Recording:
@@ -91,7 +96,7 @@ def _recording(path: Path, table: Table, mask: NDArray[np.bool_], name: str) -> 
     sizes = FOOT * table.floats("v_Length")[mask]
     length = sizes[first]
     classes = [CLASSES.get(code, "") for code in table.integers("v_Class")[mask][first]]
-    (xs, ys), speed = _smoothed(grid.values, grid.present)
+    (xs, ys), speed = _smoothed(np.stack(grid.values), grid.present)
     yaw = path_yaw(xs, ys, grid.present, 0.0)
     return finished(
         Recording(

@@ -77,11 +77,12 @@ def _check_units(recording: Recording, path: Path) -> None:
             f"{path}: {recording.name}: the median vehicle is {length:.1f} m long; lengths must be in metres "
             "(1 ft = 0.3048 m)"
         )
-    dx, dy, time = chords(recording.x, recording.y, recording.present, 5)
-    moves = recording.present & (np.nan_to_num(np.hypot(dx, dy)) > 2.0)
+    c = chords(recording.x, recording.y, recording.present, 5)
+    way = np.hypot(c.dx, c.dy)
+    moves = way > 2.0
     if moves.any():
-        implied = float(np.median(np.hypot(dx, dy)[moves] / time[moves]))
-        speed = float(np.median(recording.speed[moves]))
+        implied = float(np.median(way[moves] / c.seconds[moves]))
+        speed = float(np.median(recording.speed[c.vehicle, c.sample][moves]))
         if not SPEEDS[0] <= speed / implied <= SPEEDS[1]:
             raise PhaseError(
                 f"{path}: {recording.name}: speeds are {speed / implied:.2f} times those of the positions "
@@ -140,21 +141,31 @@ def _overlaps(recording: Recording) -> NDArray[np.bool_]:
 
 
 def _jumps(recording: Recording) -> NDArray[np.bool_]:
-    speed, step = recording.speed, round(1.0 / PERIOD)
-    moved = np.hypot(np.diff(recording.x, axis=1), np.diff(recording.y, axis=1)) / PERIOD
-    off = np.abs(moved - 0.5 * (speed[:, 1:] + speed[:, :-1])) > STEP
-    hard = np.abs(speed[:, step:] - speed[:, :-step]) > HARDEST * step * PERIOD
-    return np.asarray((speed > FASTEST).any(1) | off.any(1) | hard.any(1))
+    x, y, speed, second = recording.x, recording.y, recording.speed, round(1.0 / PERIOD)
+    v, t = _followed(recording.present, 1)
+    moved = np.hypot(x[v, t + 1] - x[v, t], y[v, t + 1] - y[v, t]) / PERIOD
+    off = v[np.abs(moved - 0.5 * (speed[v, t + 1] + speed[v, t])) > STEP]
+    v, t = _followed(recording.present, second)
+    hard = v[np.abs(speed[v, t + second] - speed[v, t]) > HARDEST * second * PERIOD]
+    return _among(np.concatenate((off, hard, np.nonzero(speed > FASTEST)[0])), recording)
+
+
+def _followed(present: NDArray[np.bool_], steps: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Vehicle and sample of all that are present ``steps`` samples later, too."""
+    vehicle, sample = np.nonzero(present[:, :-steps] & present[:, steps:])
+    return vehicle, sample
 
 
 def _against(recording: Recording, places: LanePlaces) -> NDArray[np.bool_]:
-    return np.asarray((np.cos(recording.yaw - places.yaw) < 0.0).any(1))
+    v, t = np.nonzero(recording.present)
+    return _among(v[np.cos(recording.yaw[v, t] - places.yaw[v, t]) < 0.0], recording)
+
+
+def _among(vehicle: NDArray[np.int64], recording: Recording) -> NDArray[np.bool_]:
+    """[V] the vehicles that are named."""
+    return np.bincount(vehicle, minlength=len(recording.length)) > 0
 
 
 def _stands(recording: Recording) -> NDArray[np.bool_]:
-    present = recording.present
-
-    def extent(values: FloatArray) -> FloatArray:
-        return np.where(present, values, -np.inf).max(1) - np.where(present, values, np.inf).min(1)
-
-    return np.asarray(np.hypot(extent(recording.x), extent(recording.y)) < RESTING)
+    x, y = (np.fmax.reduce(a, 1) - np.fmin.reduce(a, 1) for a in (recording.x, recording.y))
+    return np.asarray(np.hypot(x, y) < RESTING)

@@ -46,47 +46,40 @@ class Recording:
     kind: tuple[Kind, ...]
     flags: tuple[frozenset[str], ...]
 
+    def cut(self, rows: NDArray[np.int64], begin: int, end: int) -> Recording:
+        """The vehicles ``rows`` alone, over the samples begin..end - 1; copies, none of this one is kept."""
+        return replace(
+            self,
+            **{name: getattr(self, name)[rows, begin:end] for name in ("present", "x", "y", "yaw", "speed")},
+            length=self.length[rows],
+            width=self.width[rows],
+            kind=tuple(self.kind[k] for k in rows.tolist()),
+            flags=tuple(self.flags[k] for k in rows.tolist()),
+        )
+
 
 @dataclass(frozen=True)
 class Window:
-    """A scenario cut from a recording: the vehicles that are there when it begins.
+    """A scenario cut from a recording: the vehicles that are there when it begins, its agents.
+
+    It holds all that is needed of the recording, which can be let go.
 
     Attributes:
-        recording: where it is from.
-        begin: first sample.
+        recording: the agents [N] alone, over the window and what was recorded shortly before it.
+        agents: [N] their rows in the whole recording.
+        begin: first sample of the window in ``recording``; all agents are present then.
         steps: samples after it; its last sample is begin + steps.
-        agents: [N] rows of the recording, all present at ``begin``.
-        last: [N] the last sample, at most begin + steps, up to which each is present without a break; its
-            place then is the agent's goal.
+        last: [N] the last sample of ``recording``, at most begin + steps, up to which each is present without
+            a break; its place then is the agent's goal.
         lane_changes: how many lane changes its agents make within it.
+        lane_speed: [N] m/s that drivers of the lane that each begins in like to drive, from all that was
+            recorded there.
     """
 
     recording: Recording
+    agents: NDArray[np.int64]
     begin: int
     steps: int
-    agents: NDArray[np.int64]
     last: NDArray[np.int64]
     lane_changes: int
-
-    def with_motion(
-        self,
-        present: NDArray[np.bool_],
-        x: FloatArray,
-        y: FloatArray,
-        yaw: FloatArray,
-        speed: FloatArray,
-    ) -> Recording:
-        """Its agents alone, with this motion [N, samples] instead of the recorded one."""
-        r, rows = self.recording, self.agents
-        return replace(
-            r,
-            present=present,
-            x=x,
-            y=y,
-            yaw=yaw,
-            speed=speed,
-            length=r.length[rows],
-            width=r.width[rows],
-            kind=tuple(r.kind[k] for k in rows.tolist()),
-            flags=tuple(r.flags[k] for k in rows.tolist()),
-        )
+    lane_speed: FloatArray

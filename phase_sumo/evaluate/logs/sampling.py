@@ -22,10 +22,10 @@ STEP = 0.5  # m: over less, a path has no direction
 
 @dataclass(frozen=True)
 class Grid:
-    """``present`` [V, T] and the columns ``values`` [C, V, T], NaN where absent."""
+    """``present`` [V, T] and columns of ``values``, each [V, T], NaN where absent."""
 
     present: NDArray[np.bool_]
-    values: FloatArray
+    values: tuple[FloatArray, ...]
 
 
 def on_grid(path: Path, vehicle: IntArray, time: FloatArray, values: FloatArray, count: int) -> Grid:
@@ -78,10 +78,20 @@ def on_grid(path: Path, vehicle: IntArray, time: FloatArray, values: FloatArray,
     present = np.zeros(size, np.bool_)
     number = vehicle[first][row]
     present[number, sample] = True
-    grid = np.full((len(values), *size), np.nan)
-    for column, value in zip(grid, values, strict=True):
-        column[number, sample] = value[before] + share * (value[after] - value[before])
-    return Grid(present, grid)
+    return Grid(
+        present,
+        tuple(
+            placed(value[before] + share * (value[after] - value[before]), number, sample, size)
+            for value in values
+        ),
+    )
+
+
+def placed(values: FloatArray, vehicle: IntArray, sample: IntArray, size: tuple[int, ...]) -> FloatArray:
+    """[V, T] of the values [S] of single samples, NaN elsewhere."""
+    result = np.full(size, np.nan)
+    result[vehicle, sample] = values
+    return result
 
 
 def runs(present: NDArray[np.bool_]) -> tuple[IntArray, IntArray, IntArray]:
@@ -93,29 +103,40 @@ def runs(present: NDArray[np.bool_]) -> tuple[IntArray, IntArray, IntArray]:
     return row, first, last - 1
 
 
-def chords(x: FloatArray, y: FloatArray, present: NDArray[np.bool_], span: int) -> FloatArray:
-    """[3, V, T] dx, dy in m and seconds between the samples ``span`` before and after each, or fewer.
+@dataclass(frozen=True)
+class Chords:
+    """Ways across the samples of tracks, all [S], vehicle by vehicle in the order of time.
 
-    Pieces of tracks end where the vehicle is absent; the chord of a single sample is 0 s long.
+    Attributes:
+        vehicle, sample: what each is about.
+        dx, dy: m between the samples before and after it.
+        seconds: between those; 0 for a piece of a single sample.
     """
-    result = np.full((3, *x.shape), np.nan)
+
+    vehicle: IntArray
+    sample: IntArray
+    dx: FloatArray
+    dy: FloatArray
+    seconds: FloatArray
+
+
+def chords(x: FloatArray, y: FloatArray, present: NDArray[np.bool_], span: int) -> Chords:
+    """Between the samples ``span`` before and after each, or fewer at the ends of a piece of its track."""
     row, first, last = runs(present)
     counts = last - first + 1
-    v = np.repeat(row, counts)
-    t = np.repeat(first, counts) + ranges(counts)
-    reach = np.minimum(span, np.minimum(t - np.repeat(first, counts), np.repeat(last, counts) - t))
+    v, low, high = (np.repeat(a, counts) for a in (row, first, last))
+    t = low + ranges(counts)
+    reach = np.minimum(span, np.minimum(t - low, high - t))
     # at the ends of a piece, one-sided
-    a = np.where(reach > 0, t - reach, np.maximum(t - 1, np.repeat(first, counts)))
-    b = np.where(reach > 0, t + reach, np.minimum(t + 1, np.repeat(last, counts)))
-    result[0, v, t], result[1, v, t] = x[v, b] - x[v, a], y[v, b] - y[v, a]
-    result[2, v, t] = (b - a) * PERIOD
-    return result
+    a = np.where(reach > 0, t - reach, np.maximum(t - 1, low))
+    b = np.where(reach > 0, t + reach, np.minimum(t + 1, high))
+    return Chords(v, t, x[v, b] - x[v, a], y[v, b] - y[v, a], (b - a) * PERIOD)
 
 
 def path_speed(x: FloatArray, y: FloatArray, present: NDArray[np.bool_]) -> FloatArray:
     """[V, T] m/s from the positions before and after; 0 for a single sample."""
-    dx, dy, time = chords(x, y, present, 1)
-    return np.hypot(dx, dy) / np.maximum(time, PERIOD)
+    c = chords(x, y, present, 1)
+    return placed(np.hypot(c.dx, c.dy) / np.maximum(c.seconds, PERIOD), c.vehicle, c.sample, x.shape)
 
 
 def path_yaw(
@@ -126,11 +147,13 @@ def path_yaw(
     While a vehicle hardly moves it keeps the direction it had, or else takes the one it then has, or
     else ``resting`` (rad, broadcast to [V, T]).
     """
-    dx, dy, _ = chords(x, y, present, SPAN)
-    moves = present & (np.hypot(np.nan_to_num(dx), np.nan_to_num(dy)) > STEP)
-    yaw = np.where(moves, np.arctan2(dy, dx), resting)
-    time = np.arange(x.shape[1])
-    earlier = np.maximum.accumulate(np.where(moves, time, -1), axis=1)
-    later = np.minimum.accumulate(np.where(moves, time, x.shape[1])[:, ::-1], axis=1)[:, ::-1]
-    source = np.where(earlier >= 0, earlier, np.where(later < x.shape[1], later, time))
-    return np.where(present, np.take_along_axis(yaw, source, 1), np.nan)
+    c = chords(x, y, present, SPAN)
+    moves = np.hypot(c.dx, c.dy) > STEP
+    yaw = np.where(moves, np.arctan2(c.dy, c.dx), np.broadcast_to(resting, x.shape)[c.vehicle, c.sample])
+    here = np.arange(len(yaw))
+    first = np.searchsorted(c.vehicle, c.vehicle)
+    last = np.searchsorted(c.vehicle, c.vehicle, "right") - 1
+    earlier = np.maximum.accumulate(np.where(moves, here, -1))
+    later = np.minimum.accumulate(np.where(moves, here, len(yaw))[::-1])[::-1]
+    source = np.where(earlier >= first, earlier, np.where(later <= last, later, here))
+    return placed(yaw[source], c.vehicle, c.sample, x.shape)

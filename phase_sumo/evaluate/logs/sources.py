@@ -1,25 +1,27 @@
-"""Recorded traffic by name: ``KIND:PATH`` -> recordings."""
+"""Recorded traffic by name: ``KIND:PATH`` -> recordings, one at a time: a data set need not fit in memory."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.logs.commonroad import read_commonroad
-from phase_sumo.evaluate.logs.exid import ExidRoads, RoadReader, read_exid
-from phase_sumo.evaluate.logs.highd import read_highd
+from phase_sumo.evaluate.logs.commonroad import file_reader, read_commonroad
+from phase_sumo.evaluate.logs.exid import ExidRoads, RoadReader, check_exid, read_exid
+from phase_sumo.evaluate.logs.highd import highd_files, read_highd
 from phase_sumo.evaluate.logs.levelx import drone_files
 from phase_sumo.evaluate.logs.ngsim import read_ngsim
 from phase_sumo.evaluate.logs.recording import Recording
 from phase_sumo.evaluate.logs.tracks import read_tracks
 
 # path of the log, path of a map or None, what reads maps or None
-Reader = Callable[[Path, "Path | None", "RoadReader | None"], list[Recording]]
+Reader = Callable[[Path, "Path | None", "RoadReader | None"], Iterator[Recording]]
 
 
-def open_source(text: str, road: RoadReader | None = None) -> list[Recording]:
-    """All recordings of a source: ``KIND:PATH`` or ``KIND:PATH@MAP``.
+def open_source(text: str, road: RoadReader | None = None) -> Iterator[Recording]:
+    """The recordings of a source, ``KIND:PATH`` or ``KIND:PATH@MAP``, each read when it is asked for.
+
+    Whatever can be known without reading a track (paths, headers, maps) is checked at once.
 
     Args:
         text: kind, one of `READERS`; file or folder; and for the kinds that take one (tracks, exid) a map
@@ -27,7 +29,7 @@ def open_source(text: str, road: RoadReader | None = None) -> list[Recording]:
         road: reads map files, which nothing here can; the bridge's ``maps.lanelet2.read_road`` does.
 
     Raises:
-        PhaseError: no such kind or path, or a file in it is damaged.
+        PhaseError: no such kind or path, or a column or map is missing; later, a file is damaged.
     """
     kind, colon, rest = text.partition(":")
     if not colon or kind not in READERS:
@@ -42,37 +44,41 @@ def open_source(text: str, road: RoadReader | None = None) -> list[Recording]:
     return READERS[kind](path, map_path, road)
 
 
-def _commonroad(path: Path, map_path: Path | None, road: RoadReader | None) -> list[Recording]:
+def _commonroad(path: Path, map_path: Path | None, road: RoadReader | None) -> Iterator[Recording]:
     _without_map("commonroad", map_path)
-    if not path.is_dir():
-        return [read_commonroad(path)]
-    files = sorted(p for p in path.iterdir() if p.suffix in (".xml", ".pb"))
+    files = [path] if path.is_file() else sorted(p for p in path.iterdir() if p.suffix in (".xml", ".pb"))
     if not files:
         raise PhaseError(
             f"{path}: no CommonRoad scenario (.xml or .pb) in this folder; pass the one that holds them"
         )
-    return [read_commonroad(file) for file in files]
+    file_reader(path)
+    return map(read_commonroad, files)
 
 
-def _exid(path: Path, map_path: Path | None, road: RoadReader | None) -> list[Recording]:
+def _exid(path: Path, map_path: Path | None, road: RoadReader | None) -> Iterator[Recording]:
     if road is None:
         raise PhaseError(f"exid:{path}: the road is in a map file; pass what reads those")
     files = drone_files(path)
     roads = ExidRoads(map_path or (path if path.is_dir() else path.parent), road)
-    return [read_exid(file, roads) for file in files]
+    for file in files:
+        check_exid(file, roads)
+    return (read_exid(file, roads) for file in files)
 
 
-def _highd(path: Path, map_path: Path | None, road: RoadReader | None) -> list[Recording]:
+def _highd(path: Path, map_path: Path | None, road: RoadReader | None) -> Iterator[Recording]:
     _without_map("highd", map_path)
-    return [read_highd(file) for file in drone_files(path)]
+    files = drone_files(path)
+    for file in files:
+        highd_files(file)
+    return map(read_highd, files)
 
 
-def _ngsim(path: Path, map_path: Path | None, road: RoadReader | None) -> list[Recording]:
+def _ngsim(path: Path, map_path: Path | None, road: RoadReader | None) -> Iterator[Recording]:
     _without_map("ngsim", map_path)
     return read_ngsim(_one_file(path))
 
 
-def _tracks(path: Path, map_path: Path | None, road: RoadReader | None) -> list[Recording]:
+def _tracks(path: Path, map_path: Path | None, road: RoadReader | None) -> Iterator[Recording]:
     if map_path is not None and road is None:
         raise PhaseError(f"tracks:{path}@{map_path}: pass what reads map files")
     return read_tracks(_one_file(path), None if map_path is None or road is None else road(map_path, None))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ COMMA, NEWLINE = ord(","), ord("\n")
 class Table:
     """Chosen columns of a CSV file with a header line; no quoted fields. Capitals in names do not matter.
 
+    The header is looked at at once; the lines are read when a column is first asked for.
+
     Args:
         path: the file.
         required: names of columns that must be there.
@@ -24,8 +27,8 @@ class Table:
         names: columns of a file without header whose fields are separated by blanks, if it is one.
 
     Raises:
-        PhaseError: there is no such file, it is empty, a column is missing or a line has too many or too few
-            fields.
+        PhaseError: there is no such file, it is empty or a column is missing; later, it has no lines, or one
+            with too many or too few fields.
     """
 
     def __init__(
@@ -37,8 +40,8 @@ class Table:
     ) -> None:
         self.path = Path(path)
         first = _first_line(self.path)
-        blanks = bool(names) and "," not in first
-        header = list(names) if blanks else [name.strip().strip('"') for name in first.split(",")]
+        self._blanks = bool(names) and "," not in first
+        header = list(names) if self._blanks else [name.strip().strip('"') for name in first.split(",")]
         place = {name.lower(): k for k, name in enumerate(header)}
         missing = [name for name in required if name.lower() not in place]
         if missing:
@@ -46,17 +49,19 @@ class Table:
                 f"{path}: no column {', '.join(missing)}; it needs {', '.join(required)} and has "
                 f"{', '.join(header)}"
             )
-        wanted = [name for name in (*required, *optional) if name.lower() in place]
-        self._first = 1 if blanks else 2
-        pieces = list(
-            _pieces(self.path, len(header), [place[name.lower()] for name in wanted], self._first, blanks)
-        )
+        self._place = {n: place[n.lower()] for n in (*required, *optional) if n.lower() in place}
+        self._width, self._first = len(header), 1 if self._blanks else 2
+
+    @cached_property
+    def _columns(self) -> dict[str, NDArray[np.bytes_]]:
+        places = list(self._place.values())
+        pieces = list(_pieces(self.path, self._width, places, self._first, self._blanks))
         if not pieces:
-            raise PhaseError(f"{path}: no line below its header; pass a file with tracks")
-        self._columns = {name: np.concatenate([p[k] for p in pieces]) for k, name in enumerate(wanted)}
+            raise PhaseError(f"{self.path}: no line below its header; pass a file with tracks")
+        return {name: np.concatenate([p[k] for p in pieces]) for k, name in enumerate(self._place)}
 
     def __contains__(self, name: str) -> bool:
-        return name in self._columns
+        return name in self._place
 
     def __len__(self) -> int:
         return len(next(iter(self._columns.values())))

@@ -13,6 +13,7 @@ is which follows from ``direction``: negative ones are mirrored.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -55,8 +56,8 @@ I24_CLASSES = {
 }
 
 
-def read_tracks(path: str | Path, network: LaneNetwork | None = None) -> list[Recording]:
-    """A recording for every scene and direction in the file.
+def read_tracks(path: str | Path, network: LaneNetwork | None = None) -> Iterator[Recording]:
+    """A recording for every scene and direction in the file, one by one; its header is looked at before.
 
     Args:
         path: the CSV file.
@@ -71,11 +72,16 @@ def read_tracks(path: str | Path, network: LaneNetwork | None = None) -> list[Re
         raise PhaseError(f"{path}: no column x_m (box centre) or x_rear_m (rear bumper); name one of them so")
     if network is None and "lane" not in table:
         raise PhaseError(f"{path}: no column lane, from which the road is made; add it or pass a road")
+    return _recordings(path, table, network)
+
+
+def _recordings(path: Path, table: Table, network: LaneNetwork | None) -> Iterator[Recording]:
     group = np.full(len(table), path.name.partition(".")[0])
     for name in ("scene", "direction"):
         if name in table:
             group = np.char.add(np.char.add(group, "/"), table.text(name))
-    return [_recording(path, table, group == name, str(name), network) for name in np.unique(group)]
+    for name in np.unique(group):
+        yield _recording(path, table, group == name, str(name), network)
 
 
 def _recording(

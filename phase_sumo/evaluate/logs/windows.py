@@ -8,6 +8,10 @@ from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.logs.lane_places import lane_changes, lane_places
 from phase_sumo.evaluate.logs.quality import FLAGS
 from phase_sumo.evaluate.logs.recording import PERIOD, Recording, Window
+from phase_sumo.evaluate.logs.sampling import runs
+from phase_sumo.evaluate.logs.vehicles import HISTORY
+
+SHARE = 85.0  # percentile of the speeds recorded in a lane that its drivers like to drive
 
 
 def windows(
@@ -44,21 +48,31 @@ def windows(
         raise PhaseError(f"no flag {', '.join(sorted(unknown))}; there are {', '.join(FLAGS)}")
     places = lane_places(recording)
     changes = lane_changes(recording, places)
-    length = recording.present.shape[1]
-    # [V, T] the last sample of the piece of track that each sample belongs to
-    absent = np.where(recording.present, length, np.arange(length))
-    until = np.minimum.accumulate(absent[:, ::-1], axis=1)[:, ::-1] - 1
+    used = np.unique(places.lane[places.lane >= 0]).tolist()
+    speed = {k: float(np.percentile(recording.speed[places.lane == k], SHARE)) for k in used}
+    vehicle, first, until = runs(recording.present)
     sound = np.array([not (flags & without) for flags in recording.flags], np.bool_)
-    steps, result = round(seconds / PERIOD), []
+    length, steps, result = recording.present.shape[1], round(seconds / PERIOD), []
     for begin in range(0, length - round(shortest / PERIOD), round(stride / PERIOD)):
         size = min(steps, length - 1 - begin)
-        agents = np.flatnonzero((places.lane[:, begin] >= 0) & sound)
-        last = np.minimum(until[agents, begin], begin + size)
-        row = np.searchsorted(agents, changes.vehicle)
-        row = np.minimum(row, len(agents) - 1)
-        if not len(agents):
+        there = np.flatnonzero((first <= begin) & (begin <= until) & sound[vehicle])
+        there = there[places.lane[vehicle[there], begin] >= 0]
+        if not len(there):
             continue
+        agents, last = vehicle[there], np.minimum(until[there], begin + size)
+        row = np.minimum(np.searchsorted(agents, changes.vehicle), len(agents) - 1)
         within = (agents[row] == changes.vehicle) & (changes.begin >= begin) & (changes.end <= last[row])
         if within.any() or not lane_changes_only:
-            result.append(Window(recording, begin, size, agents, last, int(within.sum())))
+            past = min(begin, round(HISTORY / PERIOD))
+            result.append(
+                Window(
+                    recording.cut(agents, begin - past, begin + size + 1),
+                    agents,
+                    past,
+                    size,
+                    last - (begin - past),
+                    int(within.sum()),
+                    np.array([speed[k] for k in places.lane[agents, begin].tolist()]),
+                )
+            )
     return result

@@ -11,11 +11,11 @@ from phase_sumo.evaluate.logs.recording import Recording, Window
 
 def recorded(window: Window) -> Recording:
     """The window's agents [N] over its steps + 1 samples, each up to where it is first lost."""
-    r, rows = window.recording, window.agents
+    r = window.recording
     span = slice(window.begin, window.begin + window.steps + 1)
     there = np.arange(window.steps + 1) <= (window.last - window.begin)[:, None]
-    x, y, yaw, speed = (np.where(there, a[rows, span], np.nan) for a in (r.x, r.y, r.yaw, r.speed))
-    return window.with_motion(there, x, y, yaw, speed)
+    x, y, yaw, speed = (np.where(there, a[:, span], np.nan) for a in (r.x, r.y, r.yaw, r.speed))
+    return replace(r, present=there, x=x, y=y, yaw=yaw, speed=speed)
 
 
 def alike(simulated: Recording, log: Recording) -> Recording:

@@ -40,7 +40,7 @@ def _edited(path, edit):
 def test_damaged_tracks(tmp_path, edit, message):
     path = _edited(log_files.write_tracks(tmp_path / "a.csv"), edit)
     with pytest.raises(PhaseError, match=message):
-        open_source(f"tracks:{path}")
+        list(open_source(f"tracks:{path}"))
 
 
 def test_wrong_sources(tmp_path):
@@ -61,20 +61,60 @@ def test_wrong_sources(tmp_path):
         open_source(f"exid:{tmp_path}", read_road)
     with pytest.raises(PhaseError, match="the road is in a map file"):
         open_source(f"exid:{tmp_path}")
+    log_files.write_lanelet2(tmp_path / "maps" / "lanelet2" / "2_somewhere.osm")
     _edited(tmp_path / "03_tracksMeta.csv", lambda s: s.replace("3,9,", "3,99,"))
     with pytest.raises(PhaseError, match="no line for trackId 9, which"):
-        open_source(f"exid:{tmp_path}@{tmp_path / '03_tracks.csv'}", read_road)
+        list(open_source(f"exid:{tmp_path}", read_road))
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda d: (d / "04_tracksMeta.csv").unlink(), "04_tracksMeta.csv: cannot be read"),
+        (
+            lambda d: _edited(d / "04_recordingMeta.csv", lambda s: s.replace("\n3,2,", "\n4,5,")),
+            "no map of location 5",
+        ),
+        (lambda d: _edited(d / "04_tracks.csv", lambda s: s.replace("heading", "h")), "no column heading"),
+    ],
+)
+def test_what_is_wrong_with_the_last_recording_is_said_before_the_first_is_read(tmp_path, edit, message):
+    for number in ("03", "04"):
+        log_files.write_levelx(tmp_path, exid=True, number=number)
+    log_files.write_lanelet2(tmp_path / "maps" / "lanelet2" / "2_somewhere.osm")
+    _edited(tmp_path / "03_tracks.csv", lambda s: s.replace(",12;13,", ",", 1))  # damaged, if it is read
+    edit(tmp_path)
+    with pytest.raises(PhaseError, match=message):
+        open_source(f"exid:{tmp_path}", read_road)
+
+
+@pytest.mark.parametrize("kind", ["tracks", "ngsim"])
+def test_headers_are_looked_at_before_a_track_is_read(tmp_path, kind):
+    path = tmp_path / "a.csv"
+    path.write_text("id,what\n1\n")
+    with pytest.raises(PhaseError, match="no column"):
+        open_source(f"{kind}:{path}")
+
+
+def test_recordings_are_read_as_they_are_asked_for(tmp_path):
+    for number in ("03", "04"):
+        log_files.write_levelx(tmp_path, exid=False, number=number)
+    _edited(tmp_path / "04_tracks.csv", lambda s: s + "1,2\n")
+    found = open_source(f"highd:{tmp_path}")
+    assert next(found).name == "highd/03"
+    with pytest.raises(PhaseError, match=r"04_tracks\.csv: line .* has 2 fields"):
+        next(found)
 
 
 def test_a_scenario_that_is_none(tmp_path):
     pytest.importorskip("commonroad", reason="commonroad-io is not installed")
     (tmp_path / "a.xml").write_text("<commonRoad")
     with pytest.raises(PhaseError, match=r"a.xml: no CommonRoad scenario \(ParseError"):
-        open_source(f"commonroad:{tmp_path}")
+        list(open_source(f"commonroad:{tmp_path}"))
 
 
 def test_periods_with_the_same_ids_are_recordings_of_their_own(tmp_path):
-    found = open_source(f"ngsim:{log_files.write_ngsim(tmp_path / 'a.csv', periods=2)}")
+    found = list(open_source(f"ngsim:{log_files.write_ngsim(tmp_path / 'a.csv', periods=2)}"))
     assert [r.name for r in found] == ["ngsim/a/0", "ngsim/a/15"]
     np.testing.assert_array_equal(found[0].x, found[1].x)
 
@@ -90,7 +130,7 @@ def test_tracks_on_a_network_that_is_given(tmp_path):
 
 @pytest.mark.skipif(not (DATA / "i24").exists(), reason="recordings of I-24 are not here")
 def test_i24():
-    recordings = open_source(f"tracks:{DATA / 'i24' / 'tracks_10hz.csv'}")
+    recordings = list(open_source(f"tracks:{DATA / 'i24' / 'tracks_10hz.csv'}"))
     assert [r.name.partition("/")[2] for r in recordings] == ["i/-1", "i/1", "ii/-1", "ii/1"]
     for recording in recordings:
         places = lane_places(recording)
@@ -107,7 +147,7 @@ def test_i24():
 @pytest.mark.skipif(not (DATA / "us101").exists(), reason="recordings of US-101 are not here")
 def test_us101():
     pytest.importorskip("commonroad", reason="commonroad-io is not installed")
-    recording = open_source(f"commonroad:{DATA / 'us101' / 'USA_US101-23_1_T-1.xml'}")[0]
+    (recording,) = open_source(f"commonroad:{DATA / 'us101' / 'USA_US101-23_1_T-1.xml'}")
     places = lane_places(recording)
     assert recording.present.shape == (57, 141)
     assert (places.lane >= 0)[recording.present].mean() > 0.99

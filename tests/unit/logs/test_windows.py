@@ -80,19 +80,44 @@ def _three():
     return recording_of(x, np.stack((0.0 * X, _ramp(100, 137), 7.2 + 0.0 * X)))
 
 
+def _begins(found):
+    """Samples of the whole recording, from where the first vehicle is."""
+    return [round(w.recording.x[0, w.begin] / 2.0) for w in found]
+
+
 def test_windows_do_not_overlap_and_the_last_one_may_be_shorter():
     found = windows(_three(), lane_changes_only=False)
-    assert [(w.begin, w.steps) for w in found] == [(0, 100), (100, 100)]  # 4.9 s are left: too short
-    assert [(w.begin, w.steps) for w in windows(_three(), lane_changes_only=False, shortest=4.0)][2] == (
-        200,
-        49,
+    assert _begins(found) == [0, 100] and [w.steps for w in found] == [100, 100]  # 4.9 s are left: too short
+    *_, last = windows(_three(), lane_changes_only=False, shortest=4.0)
+    assert _begins([last]) == [200] and last.steps == 49
+    assert _begins(windows(_three(), 10.0, False, stride=5.0)) == [0, 50, 100, 150]
+
+
+def test_a_window_holds_its_agents_and_ten_seconds_before_and_nothing_of_the_recording():
+    whole = replace(_three(), length=np.array([4.0, 5.0, 18.0]), kind=("car", "car", "articulated_truck"))
+    late = windows(whole, 3.0, False, stride=7.0)[2]  # from sample 140 on
+    assert (late.begin, late.steps) == (100, 30)
+    np.testing.assert_array_equal(late.recording.x, whole.x[:, 40:171])
+    gone = windows(whole, 1.0, False, stride=6.5)[1]  # at sample 65 the last vehicle is lost
+    assert gone.agents.tolist() == [0, 1] and gone.recording.kind == ("car", "car")
+    np.testing.assert_array_equal(gone.recording.length, [4.0, 5.0])
+    np.testing.assert_array_equal(gone.recording.x, whole.x[:2, :76])
+    assert not any(np.shares_memory(gone.recording.x, a) for a in (whole.x, whole.y))
+
+
+def test_drivers_like_to_drive_what_most_do_in_their_lane_all_day():
+    slow = np.broadcast_to(np.where(np.arange(T) < 200, 20.0, 30.0), (2, T))  # 20 % of the time at 30 m/s
+    recording = recording_of(
+        np.stack((X, X)), np.stack((0.0 * X, 3.6 + 0.0 * X)), speed=slow - [[0.0], [7.0]]
     )
-    assert [w.begin for w in windows(_three(), 10.0, False, stride=5.0)] == [0, 50, 100, 150]
+    first = windows(recording, 5.0, lane_changes_only=False)[0]
+    assert first.lane_speed.tolist() == [30.0, 23.0]
 
 
 def test_only_windows_with_a_whole_lane_change_are_kept():
-    assert [(w.begin, w.lane_changes) for w in windows(_three())] == [(100, 1)]
-    assert [w.begin for w in windows(_three(), seconds=1.2, stride=0.1, shortest=1.2)] == [112, 113]
+    (only,) = windows(_three())
+    assert _begins([only]) == [100] and only.lane_changes == 1
+    assert _begins(windows(_three(), seconds=1.2, stride=0.1, shortest=1.2)) == [112, 113]
     assert windows(_three(), seconds=1.0, stride=0.1, shortest=1.0) == []
 
 
