@@ -22,6 +22,7 @@ from phase_sumo.evaluate.logs.recording import PERIOD, Recording, Window
 from phase_sumo.evaluate.logs.vehicles import poses, shape
 from phase_sumo.policy.checkpoint import Policy
 from phase_sumo.sim.events import goal_behind, goal_reached
+from phase_sumo.sim.kinematics import bounded_accel
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.vehicles import HISTORY, Task, VehicleShape, VehicleState
@@ -174,7 +175,7 @@ def _initial(
     return replace(
         state,
         speed=speed,
-        accel=accel.clamp(*sim.truck_accel_bounds),
+        accel=bounded_accel(accel, body, sim),
         steer=steer,
         accel_history=torch.zeros_like(state.accel_history),
         steer_history=steer.unsqueeze(-1).repeat(1, 1, HISTORY),

@@ -45,6 +45,13 @@ def steer_limit(shape: VehicleShape, speed: Tensor, config: SimConfig) -> Tensor
     return torch.atan(grip * shape.wheelbase / speed.square().clamp_min(0.1)).clamp_max(config.max_steer)
 
 
+def bounded_accel(accel: Tensor, shape: VehicleShape, config: SimConfig) -> Tensor:
+    """[W, N] m/s^2 within what each vehicle can do."""
+    low = torch.where(shape.truck, config.truck_accel_bounds[0], config.accel_bounds[0])
+    high = torch.where(shape.truck, config.truck_accel_bounds[1], config.accel_bounds[1])
+    return torch.minimum(torch.maximum(accel, low), high)
+
+
 def advance(
     shape: VehicleShape, state: VehicleState, jerk: Tensor, steering_rate: Tensor, config: SimConfig
 ) -> VehicleState:
@@ -64,9 +71,7 @@ def advance(
         A new state; the inputs are left alone.
     """
     dt = config.dt
-    low = torch.where(shape.truck, config.truck_accel_bounds[0], config.accel_bounds[0])
-    high = torch.where(shape.truck, config.truck_accel_bounds[1], config.accel_bounds[1])
-    wanted = torch.minimum(torch.maximum(state.accel + jerk * dt, low), high)
+    wanted = bounded_accel(state.accel + jerk * dt, shape, config)
     free = state.speed + wanted * dt
     speed = free.clamp(0.0, config.max_speed)
     # what the clamps on speed leave of it: a standing vehicle does not store up deceleration

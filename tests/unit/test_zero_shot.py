@@ -133,6 +133,20 @@ def test_vehicles_begin_as_they_were_recorded(road_map):
     assert turn == pytest.approx(0.05, abs=1e-3)
 
 
+@pytest.mark.parametrize("accel", [-7.0, 3.5])
+def test_each_kind_begins_within_its_own_bounds(road_map, accel):
+    """Cars -8..4, trucks -6..1.8 m/s^2: what a truck is said to have done beyond is noise."""
+    time = 0.1 * np.arange(81)
+    change = np.clip(time - 4.0, 0.0, 2.0)  # from 4 to 6 s
+    speed = np.tile(20.0 + accel * change, (2, 1))
+    x = np.stack((50.0 + np.cumsum(speed[0]) * 0.1, 300.0 + np.cumsum(speed[1]) * 0.1))
+    y, kinds = np.repeat([[0.0], [7.2]], 81, 1), ["car", "rigid_truck"]
+    recording = recording_of(x, y, length=[4.8, 9.0], kind=kinds, speed=speed)
+    window = windows(recording, 2.5, lane_changes_only=False, shortest=2.5)[2]  # from 5 s on
+    state = scenes([window], [ROAD], road_map, 0).start.state
+    assert state.accel[0].tolist() == pytest.approx([accel, float(np.clip(accel, -6.0, 1.8))], abs=1e-4)
+
+
 def test_trailers_have_the_first_slots(road_map):
     x = np.stack((50.0 + 20.0 * TIME, 100.0 + 20.0 * TIME))
     kinds, lengths = ["car", "articulated_truck"], [4.8, 18.0]
