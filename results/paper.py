@@ -81,9 +81,24 @@ def _zero_shot(found: dict[str, Any]) -> list[str]:
         "|---" * (2 + len(TITLES)) + "|",
     ]
     for name, row in rows.items():
-        cells = [_spread(row[m], 100.0, 1) for m in PERCENT] + [_spread(row[m], 1.0, 2) for m in METRES]
-        lines.append(f"| {name} | {_millions(found, name)} | " + " | ".join(cells) + " |")
+        lines.append(f"| {name} | {_millions(found, name)} | " + " | ".join(_scores(row)) + " |")
+    return [*lines, "", *_by_source(about["by_source"])]
+
+
+def _by_source(rows: dict[str, Any]) -> list[str]:
+    """The shipped policy, by place or scene."""
+    lines = [
+        "| shipped policy on | recordings | windows | vehicles | " + " | ".join(TITLES) + " |",
+        "|---" * (4 + len(TITLES)) + "|",
+    ]
+    for name, row in rows.items():
+        sizes = [str(row[count]) for count in ("recordings", "scenarios", "agents")]
+        lines.append(f"| {name} | " + " | ".join(sizes + _scores(row)) + " |")
     return [*lines, ""]
+
+
+def _scores(row: dict[str, Any]) -> list[str]:
+    return [_spread(row[m], 100.0, 1) for m in PERCENT] + [_spread(row[m], 1.0, 2) for m in METRES]
 
 
 def _realism(found: dict[str, Any]) -> list[str]:

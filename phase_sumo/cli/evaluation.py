@@ -85,10 +85,20 @@ def _logs(args: argparse.Namespace) -> Any:
         )
     print(f"{result['agents']} agents in {result['scenarios']} windows of {result['recordings']} recordings")
     print("mean±standard deviation over windows (95 % interval of the mean, drawn by recording)")
-    print(f"{'':>18}" + "".join(f"{title:>28}" for title in COLUMNS.values()))
     rows = {"policy": result, **result["by_source"], **result["by_type"], **result["references"]}
+    width = max(map(len, rows))
+    counts = {"scenarios": "windows", "agents": "agents"}
+    print(
+        " " * width
+        + "".join(f"{t:>9}" for t in counts.values())
+        + "".join(f"{t:>28}" for t in COLUMNS.values())
+    )
     for name, row in rows.items():
-        print(f"{name:>18}" + "".join(f"{_cell(column, row[column]):>28}" for column in COLUMNS))
+        print(
+            f"{name:>{width}}"
+            + "".join(f"{row[c]:>9}" for c in counts)
+            + "".join(f"{_cell(column, row[column]):>28}" for column in COLUMNS)
+        )
     return result
 
 

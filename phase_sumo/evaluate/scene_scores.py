@@ -119,7 +119,7 @@ def _compare(
 
 
 def table(parts: Sequence[Scenes], scores: Sequence[Scores]) -> dict[str, Any]:
-    """Scores over all scenes, given in parts, per source and per vehicle type.
+    """Scores over all scenes, given in parts, per source (`Recording.source`) and per vehicle type.
 
     Returns:
         JSON types: ``scenarios``, ``recordings``, ``agents``, and for each of `MEASURES` the mean and

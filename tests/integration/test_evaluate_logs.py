@@ -30,7 +30,7 @@ def test_two_sources_with_references(tmp_path):
     write_levelx(folder, exid=False)
     result = evaluated(tmp_path, f"tracks:{tracks}", f"highd:{folder}", extra=("--references",))
     assert result["scenarios"] == 2 and result["agents"] == 6  # the fourth vehicle appears later
-    assert set(result["by_source"]) == {"tracks", "highd"}
+    assert set(result["by_source"]) == {"tracks/a", "highd"}
     assert result["by_type"]["articulated_truck"]["agents"] == 2
     for name in RATES:
         assert 0.0 <= result[name]["mean"] <= 1.0

@@ -90,7 +90,7 @@ def _recording(path: Path, name: str, scenario: Any, obstacles: list[Any]) -> Re
     told = len(set(classes)) > 1  # where all are "car", nobody has looked
     return Recording(
         name=name,
-        source="commonroad",
+        source=f"{scenario.scenario_id.country_id}_{scenario.scenario_id.map_name}",
         network=lane_network(scenario.lanelet_network, name),
         present=grid.present,
         x=x,

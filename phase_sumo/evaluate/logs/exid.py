@@ -91,9 +91,12 @@ def _files(path: Path) -> Drone:
 
 
 def _road(drone: Drone, roads: ExidRoads) -> LaneNetwork:
-    about = drone.recording
-    origin = float(about.floats(ORIGIN[0])[0]), float(about.floats(ORIGIN[1])[0])
-    return roads.at(int(about.integers("locationId")[0]), origin)
+    east, north = (float(drone.recording.floats(name)[0]) for name in ORIGIN)
+    return roads.at(_location(drone), (east, north))
+
+
+def _location(drone: Drone) -> int:
+    return int(drone.recording.integers("locationId")[0])
 
 
 def _recording(path: Path, drone: Drone, roads: ExidRoads) -> Recording:
@@ -105,7 +108,7 @@ def _recording(path: Path, drone: Drone, roads: ExidRoads) -> Recording:
     classes = drone.meta.text("class")
     return Recording(
         name=f"exid/{drone.number}",
-        source="exid",
+        source=f"exid/location {_location(drone)}",
         network=_road(drone, roads),
         present=grid.present,
         x=grid.values[0],

@@ -32,9 +32,8 @@ def highd_files(path: Path) -> Drone:
     Raises:
         PhaseError: a file or column is missing.
     """
-    return open_drone(
-        path, "id", COLUMNS, ("width", "height", "class", "drivingDirection"), (UPPER, LOWER), ("speedLimit",)
-    )
+    meta = "width", "height", "class", "drivingDirection"
+    return open_drone(path, "id", COLUMNS, meta, (UPPER, LOWER), ("speedLimit", "locationId"))
 
 
 def read_highd(path: str | Path) -> Recording:
@@ -54,9 +53,10 @@ def _recording(path: Path, drone: Drone) -> Recording:
     upper = drone.meta.integers("drivingDirection") == 1
     sizes, classes = drone.meta.floats("width"), drone.meta.text("class")
     xs, ys, speed = grid.values
+    about = drone.recording
     return Recording(
         name=f"highd/{drone.number}",
-        source="highd",
+        source=f"highd/location {about.integers('locationId')[0]}" if "locationId" in about else "highd",
         network=_road(drone, float((x - 0.5 * length).min()), float((x + 0.5 * length).max())),
         present=grid.present,
         x=xs,

@@ -101,7 +101,7 @@ def _recording(path: Path, table: Table, mask: NDArray[np.bool_], name: str) -> 
     return finished(
         Recording(
             name=f"ngsim/{name}",
-            source="ngsim",
+            source=f"ngsim/{name.partition('/')[0]}",
             network=_road(name, table.integers("Lane_ID")[mask], y, (x - sizes).min(), x.max()),
             present=grid.present,
             x=xs - 0.5 * length[:, None] * np.cos(yaw),

@@ -22,7 +22,9 @@ class Recording:
 
     Attributes:
         name: unique among the recordings of a source; what results are bootstrapped by.
-        source: "commonroad", "exid", "highd", "ngsim" or "tracks".
+        source: place, or scene, by which results are told apart, as far as the log names one: "USA_US101" of
+            a CommonRoad scenario, "exid/location 2", "highd/location 1", "ngsim/us-101", "FILE/SCENE" of
+            plain tracks.
         network: the road.
         present: [V, T] bool, the vehicle was seen then.
         x, y: [V, T] centre of the vehicle's box, trailer included, in m; NaN where absent, like the next two.

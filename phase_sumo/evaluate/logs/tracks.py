@@ -76,16 +76,21 @@ def read_tracks(path: str | Path, network: LaneNetwork | None = None) -> Iterato
 
 
 def _recordings(path: Path, table: Table, network: LaneNetwork | None) -> Iterator[Recording]:
-    group = np.full(len(table), path.name.partition(".")[0])
-    for name in ("scene", "direction"):
-        if name in table:
-            group = np.char.add(np.char.add(group, "/"), table.text(name))
-    for name in np.unique(group):
-        yield _recording(path, table, group == name, str(name), network)
+    source = np.full(len(table), path.name.partition(".")[0])
+    if "scene" in table:
+        source = np.char.add(np.char.add(source, "/"), table.text("scene"))
+    group = np.char.add(np.char.add(source, "/"), table.text("direction")) if "direction" in table else source
+    for name, first in zip(*np.unique(group, return_index=True), strict=True):
+        yield _recording(path, table, group == name, str(name), str(source[first]), network)
 
 
 def _recording(
-    path: Path, table: Table, mask: NDArray[np.bool_], name: str, network: LaneNetwork | None
+    path: Path,
+    table: Table,
+    mask: NDArray[np.bool_],
+    name: str,
+    source: str,
+    network: LaneNetwork | None,
 ) -> Recording:
     def column(key: str) -> FloatArray:
         return table.floats(key)[mask]
@@ -123,7 +128,7 @@ def _recording(
     return finished(
         Recording(
             name=name,
-            source="tracks",
+            source=source,
             network=network,
             present=grid.present,
             x=xs,

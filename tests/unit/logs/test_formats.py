@@ -85,6 +85,28 @@ def test_boxes_types_and_flags(recorded):
     assert recording.flags == (frozenset(),) * len(SCENE)
 
 
+def test_sources_are_places_and_scenes(tmp_path):
+    """What the user tells apart: not the files of one place, nor the directions of one scene."""
+    pytest.importorskip("commonroad", reason="commonroad-io is not installed")
+    expected = {
+        "tracks": "a/a",
+        "tracks_mirrored": "a/a",
+        "commonroad": "DEU_Straight",
+        "exid": "exid/location 2",
+        "highd_lower": "highd",
+        "ngsim": "ngsim/a",
+    }
+    for kind, name in expected.items():
+        (tmp_path / kind).mkdir()
+        (recording,) = open_source(FORMATS[kind][0](tmp_path / kind), read_road)
+        assert recording.source == name
+    about = tmp_path / "highd_lower" / "03_recordingMeta.csv"
+    lines = about.read_text().splitlines()
+    about.write_text(f"locationId,{lines[0]}\n5,{lines[1]}\n")
+    (recording,) = open_source(f"highd:{about.parent}")
+    assert recording.source == "highd/location 5"
+
+
 def test_vehicles_are_in_their_lanes(recorded):
     recording, _ = recorded
     places, lanes = lane_places(recording), recording.network.lanes

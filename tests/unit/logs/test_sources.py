@@ -132,6 +132,7 @@ def test_tracks_on_a_network_that_is_given(tmp_path):
 def test_i24():
     recordings = list(open_source(f"tracks:{DATA / 'i24' / 'tracks_10hz.csv'}"))
     assert [r.name.partition("/")[2] for r in recordings] == ["i/-1", "i/1", "ii/-1", "ii/1"]
+    assert [r.source.partition("/")[2] for r in recordings] == ["i", "i", "ii", "ii"]
     for recording in recordings:
         places = lane_places(recording)
         assert len(recording.network.lanes) == 4
@@ -149,6 +150,7 @@ def test_us101():
     pytest.importorskip("commonroad", reason="commonroad-io is not installed")
     (recording,) = open_source(f"commonroad:{DATA / 'us101' / 'USA_US101-23_1_T-1.xml'}")
     places = lane_places(recording)
+    assert recording.source == "USA_US101"
     assert recording.present.shape == (57, 141)
     assert (places.lane >= 0)[recording.present].mean() > 0.99
     assert float(np.abs(places.offset[recording.present]).mean()) < 0.6
