@@ -12,6 +12,7 @@ from phase_sumo.bridge.rollout import protocol
 from phase_sumo.cli import main
 from phase_sumo.evaluate.logs.windows import windows
 from tests.log_files import write_commonroad, write_levelx, write_tracks
+from tests.small_nets import SmallNet, lanes_from
 from tests.steady_recordings import recording
 
 RATES = ("goal_rate", "agent_collision_rate", "road_collision_rate", "success_rate")
@@ -39,6 +40,26 @@ def test_two_sources_with_references(tmp_path):
     assert straight["goal_rate"]["mean"] == pytest.approx(2 / 3)  # all but the one that changes lanes
     # SUMO's drivers know no goal, but the road
     assert result["references"]["idm"]["fde_5s"]["mean"] < 25.0
+
+
+def test_traffic_on_the_left_is_scored_as_its_mirror_image_is(tmp_path):
+    """SUMO's drivers know no sides but the network's; what the log says is on the other one."""
+    lanes = lanes_from(0.0, 400.0, 9.15, 5.49, 1.83)  # from the left to the right
+    net = SmallNet({"lefthand": "true"}).edge("road", lanes).write(tmp_path / "left.net.xml")
+    mirrored = SmallNet().edge("road", [[(x, 10.98 - y) for x, y in lane] for lane in lanes])
+    tracks = write_tracks(tmp_path / "tracks.csv")
+    header, *rows = tracks.read_text().splitlines()
+    at = header.split(",").index("y_m")
+    fields = [row.split(",") for row in rows]
+    flipped = [",".join([*f[:at], f"{10.98 - float(f[at]):.4f}", *f[at + 1 :]]) for f in fields]
+    other = tmp_path / "mirrored.csv"
+    other.write_text("\n".join([header, *flipped]) + "\n")
+    left, right = (
+        evaluated(tmp_path, f"tracks:{file}@{road}", extra=("--references",))["references"]["idm"]
+        for file, road in ((tracks, net), (other, mirrored.write(tmp_path / "right.net.xml")))
+    )
+    for name in (*RATES, "ade_5s", "fde_5s"):
+        assert left[name]["mean"] == pytest.approx(right[name]["mean"], abs=0.02), name
 
 
 def test_the_result_is_the_same_every_time_and_follows_the_seed(tmp_path):

@@ -10,7 +10,6 @@ import pytest
 from phase_sumo.bridge.maps.network import read_network
 from phase_sumo.bridge.rollout.rollout import roll_out
 from phase_sumo.bridge.rollout.sumo_road import write_road
-from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.logs.sources import open_source
 from phase_sumo.evaluate.logs.windows import windows
 from phase_sumo.evaluate.realism.places import places
@@ -28,9 +27,10 @@ def farthest(points, lines):
     return max((float(np.hypot(*(dense - p).T).min()) for p in points), default=0.0)
 
 
+@pytest.mark.parametrize("left_hand", [False, True])
 @pytest.mark.parametrize("radius", [0.0, 300.0])
-def test_lanes_lie_in_sumo_where_they_were(tmp_path, radius):
-    network = road(300.0, radius, sections=2)
+def test_lanes_lie_in_sumo_where_they_were(tmp_path, radius, left_hand):
+    network = replace(road(300.0, radius, sections=2), left_hand=left_hand)
     sumo = write_road(network, tmp_path)
     back = read_network(sumo.path, "all")
     for lane in network.lanes:
@@ -39,7 +39,9 @@ def test_lanes_lie_in_sumo_where_they_were(tmp_path, radius):
         assert farthest(lane.points, lines) < 0.5  # half a junction, along the road
     for lane in back.lanes:
         assert farthest(lane.points[1:-1], [other.points for other in network.lanes]) < 0.05
-    assert sumo.number == (0, 1, 2) * 2
+    assert sumo.number == ((2, 1, 0) if left_hand else (0, 1, 2)) * 2
+    assert back.left_hand == left_hand
+    assert [lane.left >= 0 for lane in back.lanes if not lane.connector].count(True) == 4
     assert sumo.route("e0", "e1") == ["e0", "e1"]
 
 
@@ -54,9 +56,11 @@ def test_a_recorded_map_keeps_its_place(tmp_path):
 
 
 @pytest.mark.parametrize("model", ["phase", "idm"])
+@pytest.mark.parametrize("left_hand", [False, True])
 @pytest.mark.parametrize("radius", [0.0, 400.0])
-def test_rollouts_start_as_recorded_and_drive_on(tmp_path, model, radius):
-    log = recording(CARS, radius=radius, lengths=[4.6, 18.0, 4.6, 4.6])
+def test_rollouts_start_as_recorded_and_drive_on(tmp_path, model, radius, left_hand):
+    network = replace(road(radius=radius), left_hand=left_hand)
+    log = recording(CARS, radius=radius, lengths=[4.6, 18.0, 4.6, 4.6], network=network)
     (window,) = windows(log, 2.0, lane_changes_only=False, shortest=2.0, stride=2.0)
     longer = extended(log.network, 60.0, 300.0)
     where = places(window.recording, longer)
@@ -69,7 +73,19 @@ def test_rollouts_start_as_recorded_and_drive_on(tmp_path, model, radius):
     step = np.hypot(np.diff(found.x), np.diff(found.y)) / 0.1
     assert step == pytest.approx(found.speed[:, 1:], abs=0.4)
     assert np.abs(np.diff(found.speed)).max() < 0.5  # nobody brakes in an emergency at the start
-    assert (places(found, longer).lane >= 0).all()
+    there = places(found, longer).lane
+    assert (there >= 0).all() and (there[:, 0] == where.lane[:, 0]).all()
+
+
+@pytest.mark.parametrize("left_hand", [False, True])
+def test_sumos_drivers_keep_their_place_in_the_lane(tmp_path, left_hand):
+    straight = recording(CARS, network=replace(road(), left_hand=left_hand))
+    log = replace(straight, y=straight.y + np.array([[0.6], [-0.6], [0.3], [0.0]]))
+    (window,) = windows(log, 3.0, lane_changes_only=False, shortest=3.0)
+    longer = extended(log.network, 60.0, 300.0)
+    where = places(window.recording, longer)
+    found = roll_out(window, write_road(longer, tmp_path), where, "idm")
+    assert found.y[:, :5] == pytest.approx(log.y[:, :5], abs=0.02)
 
 
 def test_the_same_seed_gives_the_same_rollout(tmp_path):
@@ -78,8 +94,3 @@ def test_the_same_seed_gives_the_same_rollout(tmp_path):
     sumo, where = write_road(longer, tmp_path), places(window.recording, longer)
     first, again = (roll_out(window, sumo, where, "idm", seed=2) for _ in range(2))
     assert np.array_equal(first.x, again.x)
-
-
-def test_left_hand_traffic_is_refused(tmp_path):
-    with pytest.raises(PhaseError, match="left-hand"):
-        write_road(replace(road(), left_hand=True), tmp_path)

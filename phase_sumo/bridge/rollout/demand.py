@@ -29,6 +29,7 @@ class Start:
         lane: [N] number of the lane in the first edge of the route.
         position: [N] m along that lane.
         edges: [N] routes.
+        left_hand: traffic drives on the left.
     """
 
     x: np.ndarray
@@ -39,6 +40,7 @@ class Start:
     lane: np.ndarray
     position: np.ndarray
     edges: tuple[tuple[str, ...], ...]
+    left_hand: bool
 
 
 def start_of(window: Window, road: SumoRoad, places: Places) -> Start:
@@ -65,6 +67,7 @@ def start_of(window: Window, road: SumoRoad, places: Places) -> Start:
         np.array(road.number)[lane],
         np.clip(places.position[:, at] + half, NEAR_END, np.array(road.length)[lane] - NEAR_END),
         routes,
+        r.network.left_hand,
     )
 
 

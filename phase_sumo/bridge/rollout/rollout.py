@@ -96,7 +96,7 @@ def _drive(
         simulation.step()
         observe()
         if step == 0:
-            _set_speeds(simulation, table, names, start)
+            _correct(simulation, table, names, start)
         rows = np.array([table.row_of.get(name, -1) for name in names])
         samples[:4, step, rows >= 0] = _poses(table, rows[rows >= 0])
         samples[4, step] = rows >= 0
@@ -109,15 +109,21 @@ def _nothing() -> None:
     """SUMO drives."""
 
 
-def _set_speeds(simulation: Simulation, table: VehicleTable, names: list[str], start: Start) -> None:
-    """SUMO takes the way that vehicles were moved for their speed."""
+def _correct(simulation: Simulation, table: VehicleTable, names: list[str], start: Start) -> None:
+    """SUMO takes the way that vehicles were moved for their speed.
+
+    Where traffic drives on the left, it also takes what is left of the lane's centre for right of it.
+    """
+    vehicle = simulation.api.vehicle
     for k, name in enumerate(names):
         row = table.row_of.get(name)
         if row is None:
             continue
         table["speed"][row], table["accel"][row], table["accel_history"][row] = start.speed[k], 0.0, 0.0
         if not table.controlled[row]:
-            simulation.api.vehicle.setPreviousSpeed(name, float(start.speed[k]), 0.0)
+            vehicle.setPreviousSpeed(name, float(start.speed[k]), 0.0)
+            if start.left_hand:
+                vehicle.setLateralLanePosition(name, -vehicle.getLateralLanePosition(name))
 
 
 def _poses(table: VehicleTable, rows: np.ndarray) -> np.ndarray:

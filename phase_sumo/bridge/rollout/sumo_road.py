@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from phase_sumo.bridge.maps.import_map import netconvert
-from phase_sumo.errors import PhaseError
 from phase_sumo.sim.lanes import LaneNetwork
 
 SPEED_LIMIT = 45.0  # m/s on every lane: what a driver wants is the vehicle's, by its speed factor
@@ -62,10 +61,8 @@ def write_road(network: LaneNetwork, folder: Path) -> SumoRoad:
     """Write ``road.net.xml``; lane centre lines stay where they are but for a junction's metres at an end.
 
     Raises:
-        PhaseError: netconvert refuses it, or traffic drives on the left.
+        PhaseError: netconvert refuses it.
     """
-    if network.left_hand:
-        raise PhaseError(f"{network.name}: rollouts of left-hand traffic are not supported; mirror it first")
     groups = _edges(network)
     edge = [""] * len(network.lanes)
     number = [0] * len(network.lanes)
@@ -95,6 +92,7 @@ def write_road(network: LaneNetwork, folder: Path) -> SumoRoad:
     output = folder / "road.net.xml"
     options += ["--offset.disable-normalization", "--no-turnarounds", "--no-warnings", "--precision", "3"]
     options += ["--junctions.limit-turn-speed", "-1", "--geometry.avoid-overlap", "false"]
+    options += ["--lefthand"] if network.left_hand else []
     netconvert(output, [*options, "--output-file", str(output)])
     following: dict[str, list[str]] = defaultdict(list)
     for a, b in network.successors:
@@ -105,7 +103,7 @@ def write_road(network: LaneNetwork, folder: Path) -> SumoRoad:
 
 
 def _edges(network: LaneNetwork) -> list[list[int]]:
-    """Lanes that lie abreast, from the right to the left."""
+    """Lanes that lie abreast, in SUMO's order: from the right to the left, or, driving on the left, back."""
     root = list(range(len(network.lanes)))
     first: dict[str, int] = {}
     for i, lane in enumerate(network.lanes):
@@ -115,7 +113,11 @@ def _edges(network: LaneNetwork) -> list[list[int]]:
     groups: dict[int, list[int]] = defaultdict(list)
     for i in range(len(root)):
         groups[_find(root, i)].append(i)
-    return [sorted(lanes, key=lambda i: _aside(network, lanes[0], i)) for lanes in groups.values()]
+    left_hand = network.left_hand
+    return [
+        sorted(lanes, key=lambda i: _aside(network, lanes[0], i), reverse=left_hand)
+        for lanes in groups.values()
+    ]
 
 
 def _aside(network: LaneNetwork, reference: int, lane: int) -> float:
