@@ -234,6 +234,8 @@ def realism(args: argparse.Namespace) -> Any:
         f"{result['trajectories']} trajectories in {result['windows']} windows of {result['seconds']:g} s; "
         f"95 % intervals over resampled {result['bootstrap']['by']}s"
     )
+    lost = ", ".join(f"{name} {count}" for name, count in result["lost"].items())
+    print(f"whole trajectories of the log that a rollout has not, left out on all sides: {lost}")
     models = result["models"]
     print(f"{'':>28}" + "".join(f"{name:>34}" for name in models) + f"{'real halves':>14}")
     for name in models[args.models[0]]:

@@ -77,6 +77,23 @@ def test_rollouts_start_as_recorded_and_drive_on(tmp_path, model, radius, left_h
     assert (there >= 0).all() and (there[:, 0] == where.lane[:, 0]).all()
 
 
+@pytest.mark.skipif(not US101.exists(), reason="recorded scenes (shared/data) are not beside the repository")
+def test_who_starts_within_a_junction_is_there_from_the_first_sample(tmp_path):
+    """Two of this scene's do, where lanelets end."""
+    (recorded,) = open_source(f"commonroad:{US101 / 'USA_US101-23_1_T-1.xml'}")
+    longer = extended(recorded.network, 60.0, 300.0)
+    sumo = write_road(longer, tmp_path)
+    for window in windows(recorded, 1.0, lane_changes_only=False, stride=5.0, shortest=1.0):
+        found = roll_out(window, sumo, places(window.recording, longer), "phase", Standin())
+        at = window.begin
+        assert found.present.all()
+        assert found.x[:, 0] == pytest.approx(window.recording.x[:, at], abs=0.02)
+        assert found.speed[:, 0] == pytest.approx(window.recording.speed[:, at], abs=0.01)
+        # nobody takes the way that it was put on its place for its speed
+        step = np.hypot(np.diff(found.x), np.diff(found.y))
+        assert step[:, 0] == pytest.approx(0.1 * window.recording.speed[:, at], abs=0.2)
+
+
 @pytest.mark.parametrize("left_hand", [False, True])
 def test_sumos_drivers_keep_their_place_in_the_lane(tmp_path, left_hand):
     straight = recording(CARS, network=replace(road(), left_hand=left_hand))

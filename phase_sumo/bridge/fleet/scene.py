@@ -79,6 +79,7 @@ class Scene:
         self.events = EventLog(session, self.table, self.types)
         self._observed = observed_edges
         self._edge_of: dict[str, str] = {}
+        self._crossings: dict[str, bool] = {}  # whether each junction's edge that was asked for is observed
         self._getters = [bare(self.api, "vehicle", f"get{name}") for name in MIRRORED]
         for vehicle in self.api.vehicle.getIDList():  # of a simulation that runs already
             self._enter(vehicle, float(self.api.vehicle.getDeparture(vehicle)))
@@ -161,7 +162,7 @@ class Scene:
             if row is not None and table.controlled[row]:
                 continue
             lane = lane_id(vehicle)
-            if not self._is_observed(lane, row is not None):
+            if not self._is_observed(vehicle, lane, row is not None):
                 if row is not None:
                     table.remove(vehicle)
                     self.lane_of.pop(vehicle, None)
@@ -186,9 +187,16 @@ class Scene:
         back_x, back_y = reference_from_front(x, y, yaw, overhang)
         table.follow(index, back_x, back_y, yaw, np.array(speed), np.array(accel), self.session.step_length)
 
-    def _is_observed(self, lane: str, before: bool) -> bool:
+    def _is_observed(self, vehicle: str, lane: str, before: bool) -> bool:
+        """A way across a junction belongs to the one road that it leads on from."""
         if self._observed is None:
             return bool(lane)
-        if lane.startswith(":"):
-            return before  # a junction belongs to the road one comes from
-        return self.edge(lane) in self._observed
+        edge = self.edge(lane)
+        if not lane.startswith(":"):
+            return edge in self._observed
+        if before:
+            return True
+        if edge not in self._crossings:
+            route, at = self.api.vehicle.getRoute(vehicle), self.api.vehicle.getRouteIndex(vehicle)
+            self._crossings[edge] = route[at] in self._observed
+        return self._crossings[edge]
