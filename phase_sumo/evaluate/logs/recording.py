@@ -74,8 +74,8 @@ class Window:
         last: [N] the last sample of ``recording``, at most begin + steps, up to which each is present without
             a break; its place then is the agent's goal.
         lane_changes: how many lane changes its agents make within it.
-        lane_speed: [N] m/s that drivers of the lane that each begins in like to drive, from all that was
-            recorded there.
+        lane_speed: [N] m/s, the 85th percentile of all speeds recorded in the lane that each begins in: what
+            its drivers like to drive.
     """
 
     recording: Recording
