@@ -1,27 +1,19 @@
 """Rolling goals: the tactical layer between a SUMO route and the policy's point goals.
 
-The policy drives to a point; this module moves the point. Rules, in order:
-
-1. A lane change that the route needs is asked for once the room that is left falls below
-   ``CHANGE_TIME`` x target speed per change; at a lane's end (acceleration lane) that is at once.
-2. A vehicle held up by a leader clearly slower than its target speed takes the left lane when that
-   leads on along the route just as well and has a gap.
-3. A vehicle that has overtaken goes back to the right lane when that is free far ahead.
-4. Otherwise it keeps its lane.
-
-The goal lies 6 s of target speed ahead, 40..150 m; for a change that the route needs it lies before the
-place where the lane leads astray, but never nearer than the 2.5 s of driving that a change takes. On a curve
-it is drawn nearer, so that the straight line to it keeps to the lane, and nearest (1.6 s) for a vehicle that
-is out of line with its lane. It is set anew when it is nearer than 1.2 s, or behind; decisions 1-3 are
-reviewed every second, and a change that has begun is kept until it is done or the goal is reached.
+The policy drives to a point; this module moves the point, in the lane that `tactics` chooses. It lies 6 s of
+target speed ahead, 40..150 m; for a change that the route needs it lies before the place where the lane leads
+astray, but never nearer than the 2.5 s of driving that a change takes. On a curve it is drawn nearer, so that
+the straight line to it keeps to the lane, and nearest (1.6 s) for a vehicle that is out of line with its lane.
+It is set anew when it is nearer than 1.2 s, or behind; lanes are reviewed every second, and a change that has
+begun is kept until it is done or the goal is reached.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
-
 import numpy as np
 
+from phase_sumo.bridge.fleet import tactics
+from phase_sumo.bridge.fleet.occupancy import Occupancy
 from phase_sumo.bridge.fleet.road import BoolArray, FloatArray, IntArray, Road
 from phase_sumo.bridge.fleet.route import Place, RouteLanes, ahead, path
 from phase_sumo.bridge.fleet.table import VehicleTable
@@ -36,79 +28,6 @@ STRAY_TURN, STRAY_ASIDE = 0.12, 0.9  # rad and m off the lane's direction and ce
 NEAREST_TIME = 1.6  # s of driving to the goal at least, or it would be set anew at once
 REVIEW = 1.0  # s between two looks at the lanes
 SHORTEST_CHANGE_TIME, SHORTEST_CHANGE = 2.5, 15.0  # s of driving and m that a change takes at least
-CHANGE_TIME = 12.0  # s of target speed per needed change
-CHANGE_ROOM = 150.0  # m per needed change at least
-SLOWER = 2.5  # m/s below the target speed: a leader worth overtaking
-LEADER_TIME = 6.0  # s within which a leader matters
-GAP_AHEAD, GAP_BEHIND = 0.6, 1.0  # s of speed kept to the new leader and follower, plus GAP_MIN
-GAP_MIN = 4.0  # m
-FREE_TIME = 10.0  # s of free right lane that invite back
-REST = 8.0  # s between two changes of one's own choice
-
-
-class Occupancy:
-    """Which vehicles are on which lane, by the node of their front bumper."""
-
-    def __init__(self, road: Road, table: VehicleTable, node: np.ndarray) -> None:
-        self._road = road
-        self._length = overall_length(table)
-        rows = np.flatnonzero(table.active & (node >= 0))
-        lane = road.graph.node_lane[node[rows]]
-        order = np.argsort(node[rows], kind="stable")  # nodes of a lane lie in a row
-        rows, lane = rows[order], lane[order]
-        offset = node[rows] - road.first[lane]
-        vehicles = list(zip(offset.tolist(), rows.tolist(), strict=True))
-        lanes, first, count = np.unique(lane, return_index=True, return_counts=True)
-        self._lanes: dict[int, list[tuple[int, int]]] = {
-            i: vehicles[k : k + n]
-            for i, k, n in zip(lanes.tolist(), first.tolist(), count.tolist(), strict=True)
-        }
-
-    def leader(self, route: RouteLanes, node: int, row: int, reach: float) -> tuple[int, float] | None:
-        """Row of the next vehicle ahead along the route and the gap to it in m."""
-        lane, start = int(self._road.graph.node_lane[node]), self._road.offset(node)
-        travelled = -float(start)
-        first = True
-        while travelled < reach and lane >= 0:
-            vehicles = self._lanes.get(lane, [])
-            begin = bisect_left(vehicles, (start, -1)) if first else 0
-            for offset, other in vehicles[begin:]:
-                if other != row:
-                    gap = travelled + offset - self.length(other)
-                    return (other, gap) if gap < reach else None
-            travelled += float(self._road.metres[lane])
-            lane, first = int(route.onward[lane]), False
-        return None
-
-    def follower(self, node: int, row: int, reach: float = 80.0) -> tuple[int, float] | None:
-        """Row of the next vehicle behind and its distance to the front at ``node`` in m."""
-        lane, start = int(self._road.graph.node_lane[node]), self._road.offset(node)
-        vehicles = self._lanes.get(lane, [])
-        for offset, other in reversed(vehicles[: bisect_left(vehicles, (start, -1))]):
-            if other != row:
-                return other, float(start - offset)
-        best = None
-        upstream = [(lane, float(start))]
-        while upstream:
-            lane, base = upstream.pop()
-            for before in self._road.preceding[lane]:
-                distance = base + float(self._road.metres[before])
-                behind = [(distance - o, other) for o, other in self._lanes.get(before, []) if other != row]
-                if behind and min(behind)[0] < (best[1] if best else reach):
-                    best = (min(behind)[1], min(behind)[0])
-                elif not behind and distance < reach:
-                    upstream.append((before, distance))
-        return best
-
-    def length(self, row: int) -> float:
-        """Bumper to bumper in m, trailer included."""
-        return float(self._length[row])
-
-
-def overall_length(table: VehicleTable) -> np.ndarray:
-    """[N] m, bumper to bumper, trailer included."""
-    front = table["length"] - table["rear_overhang"]
-    return front + np.maximum(table["rear_overhang"], table["trailer_length"] - table["trailer_setback"])
 
 
 class GoalPlanner:
@@ -139,13 +58,46 @@ class GoalPlanner:
         due = np.flatnonzero(near | (time >= review - 1e-6))
         if not len(due):
             return
-        occupancy = Occupancy(self._road, table, node)
-        stray = self._stray(rows[due], node[rows[due]])
-        for k, astray in zip(due.tolist(), stray.tolist(), strict=True):
-            row, vehicle = int(rows[k]), vehicles[k]
-            reached = bool(near[k]) or not np.isfinite(review[k])  # or no goal yet
+        fresh = near | ~np.isfinite(review)  # these need a goal
+        asking = []
+        for k in due.tolist():
+            vehicle = vehicles[k]
             self._review[vehicle] = time + REVIEW
-            self._plan(time, row, int(node[row]), routes[vehicle], occupancy, reached, astray)
+            if vehicle in self._changing:
+                if not near[k] and self._on_its_way(time, vehicle, int(node[rows[k]])):
+                    continue
+                del self._changing[vehicle]
+                self._rested[vehicle] = time + tactics.REST
+                fresh[k] = True
+            asking.append(k)
+        if asking:
+            self._ask(time, rows[asking], fresh[asking], node, [routes[vehicles[k]] for k in asking])
+
+    def _on_its_way(self, time: float, vehicle: str, node: int) -> bool:
+        lane, until = self._changing[vehicle]
+        return lane == self._road.graph.node_lane[node] and time < until
+
+    def _ask(
+        self, time: float, rows: IntArray, fresh: BoolArray, node: IntArray, routes: list[RouteLanes]
+    ) -> None:
+        """Choose lanes, and set the goals of vehicles that change, are out of line or need one (``fresh``)."""
+        road, table, graph = self._road, self._table, self._road.graph
+        at, vehicles = node[rows], [table.ids[row] for row in rows.tolist()]
+        stray = self._stray(rows, at)
+        resting = np.array([time < self._rested.get(vehicle, -np.inf) for vehicle in vehicles])
+        side = tactics.sides(road, table, Occupancy(road, table, node), rows, at, routes, stray | resting)
+        beside = np.where(side > 0, graph.left[at], np.where(side < 0, graph.right[at], -1))
+        changing = beside >= 0
+        for k in np.flatnonzero(changing | fresh | stray).tolist():
+            row, here = int(rows[k]), int(at[k])
+            length = float(np.clip(GOAL_TIME * table["goal_speed"][row], *GOAL_BOUNDS))
+            if changing[k]:
+                lane = int(graph.node_lane[here])
+                length = min(length, self._change_length(row, here, lane, routes[k]))
+                self.changes_wanted += 1
+                self._changing[vehicles[k]] = (lane, time + GOAL_TIME)
+                here = int(beside[k])
+            self._set(row, self._place(row, routes[k], here, length, bool(stray[k]) and not changing[k]))
 
     def _stray(self, rows: IntArray, node: IntArray) -> BoolArray:
         """Whether vehicles are out of line with their lane, behind a kink or after swerving."""
@@ -157,39 +109,6 @@ class GoalPlanner:
         turn = np.remainder(self._table["yaw"][rows] - yaw + np.pi, 2 * np.pi) - np.pi
         aside = y * np.cos(yaw) - x * np.sin(yaw)
         return (np.abs(turn) > STRAY_TURN) | (np.abs(aside) > STRAY_ASIDE)
-
-    def _plan(
-        self,
-        time: float,
-        row: int,
-        node: int,
-        route: RouteLanes,
-        occupancy: Occupancy,
-        reached: bool,
-        stray: bool,
-    ) -> None:
-        table, road = self._table, self._road
-        vehicle = table.ids[row]
-        lane = int(road.graph.node_lane[node])
-        target = float(table["goal_speed"][row])
-        begun = self._changing.get(vehicle)
-        if begun is not None:
-            if begun[0] == lane and not reached and time < begun[1]:
-                return  # on its way
-            del self._changing[vehicle]
-            self._rested[vehicle] = time + REST
-            reached = True
-        side = self._side(time, row, node, lane, route, occupancy, target, stray)
-        abreast = int((road.graph.left if side > 0 else road.graph.right)[node]) if side else -1
-        if abreast < 0 and not reached and not stray:
-            return
-        length = float(np.clip(GOAL_TIME * target, *GOAL_BOUNDS))
-        if abreast >= 0:
-            length = min(length, self._change_length(row, node, lane, route))
-            self.changes_wanted += 1
-            self._changing[vehicle] = (lane, time + GOAL_TIME)
-        start = abreast if abreast >= 0 else node
-        self._set(row, self._place(row, route, start, length, stray and abreast < 0))
 
     def _change_length(self, row: int, node: int, lane: int, route: RouteLanes) -> float:
         """m within which the change must be done: the room that is left, if that can be driven."""
@@ -208,72 +127,6 @@ class GoalPlanner:
     def _set(self, row: int, place: Place) -> None:
         table = self._table
         table["goal_x"][row], table["goal_y"][row], table["goal_yaw"][row] = place.x, place.y, place.yaw
-
-    def _side(
-        self,
-        time: float,
-        row: int,
-        node: int,
-        lane: int,
-        route: RouteLanes,
-        occupancy: Occupancy,
-        target: float,
-        stray: bool,
-    ) -> int:
-        """+1 to the left, -1 to the right, 0 to stay."""
-        needed = float(route.changes[lane])
-        left_room = float(route.room[lane]) - self._road.offset(node)
-        if needed > 0 and np.isfinite(needed) and left_room < needed * max(CHANGE_TIME * target, CHANGE_ROOM):
-            return int(route.side[lane])
-        if stray or time < self._rested.get(self._table.ids[row], -np.inf):
-            return 0
-        leader = occupancy.leader(route, node, row, LEADER_TIME * target)
-        slow = leader is not None and float(self._table["speed"][leader[0]]) < target - SLOWER
-        for side, wanted in ((1, slow), (-1, not slow)):
-            beside = int((self._road.graph.left if side > 0 else self._road.graph.right)[node])
-            if wanted and beside >= 0 and self._worth(row, beside, side, route, occupancy, target, needed):
-                return side
-        return 0
-
-    def _worth(
-        self,
-        row: int,
-        beside: int,
-        side: int,
-        route: RouteLanes,
-        occupancy: Occupancy,
-        target: float,
-        needed: float,
-    ) -> bool:
-        """Whether the lane beside leads on, is better to drive on, and has a gap."""
-        lane = int(self._road.graph.node_lane[beside])
-        changes = float(route.changes[lane])
-        room = float(route.room[lane]) - self._road.offset(beside)
-        if changes > needed and room < (changes + 1.0) * max(CHANGE_TIME * target, CHANGE_ROOM):
-            return False
-        if not np.isfinite(changes) or (side < 0 and changes > needed):
-            return False
-        table = self._table
-        leader = occupancy.leader(route, beside, row, FREE_TIME * target)
-        if leader is not None:
-            other, gap = leader
-            speed = float(table["speed"][other])
-            if gap < GAP_MIN + GAP_AHEAD * float(table["speed"][row]):
-                return False
-            if side > 0 and speed < target - SLOWER and gap < LEADER_TIME * target:
-                return False
-            if side < 0 and speed < target + 1.0:
-                return False
-        elif side < 0 and room < FREE_TIME * target and changes > 0:
-            return False
-        follower = occupancy.follower(beside, row)
-        if follower is None:
-            return True
-        other, distance = follower
-        speed = float(table["speed"][other])
-        closing = max(speed - float(table["speed"][row]), 0.0)
-        gap = distance - occupancy.length(row)
-        return gap > GAP_MIN + GAP_BEHIND * speed * 0.5 + 3.0 * closing
 
 
 def _bulge(xy: FloatArray) -> float:

@@ -1,0 +1,105 @@
+"""Who drives ahead and behind on a lane, for many vehicles at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from phase_sumo.bridge.fleet.road import FloatArray, IntArray, Road
+from phase_sumo.bridge.fleet.route import RouteLanes
+from phase_sumo.bridge.fleet.table import VehicleTable
+
+BEHIND = 100.0  # m within which a vehicle on a lane before this one matters
+
+
+class Occupancy:
+    """Which vehicles are on which lane, by the node of their front bumper."""
+
+    def __init__(self, road: Road, table: VehicleTable, node: IntArray) -> None:
+        self._road = road
+        self.length = overall_length(table)
+        rows = np.flatnonzero(table.active & (node >= 0))
+        self._row = rows[np.argsort(node[rows], kind="stable")]  # nodes of a lane lie in a row
+        self._node = node[self._row]
+        self._lane = road.graph.node_lane[self._node]
+
+    def leaders(
+        self, node: IntArray, rows: IntArray, routes: Sequence[RouteLanes], reach: FloatArray
+    ) -> tuple[IntArray, FloatArray]:
+        """The next vehicles along the routes.
+
+        Args:
+            node: [n] where to look from.
+            rows: [n] who looks, and is not found itself.
+            reach: [n] m.
+
+        Returns:
+            Rows [n], -1 for none, and the gaps to them in m, inf for none.
+        """
+        at = np.searchsorted(self._node, node)
+        at += self._holds(at, rows)
+        lane = self._road.graph.node_lane[node]
+        there = np.minimum(at, len(self._row) - 1)
+        same = (at < len(self._row)) & (self._lane[there] == lane)
+        found = np.where(same, self._row[there], -1)
+        gap = np.where(same, self._node[there] - node - self.length[self._row[there]], np.inf)
+        for k in np.flatnonzero(~same).tolist():
+            travelled = float(self._road.metres[lane[k]] - self._road.offset(node[k]))
+            found[k], gap[k] = self._further(int(lane[k]), routes[k], travelled, int(rows[k]), reach[k])
+        near = gap < reach
+        return np.where(near, found, -1), np.where(near, gap, np.inf)
+
+    def followers(self, node: IntArray, rows: IntArray) -> tuple[IntArray, FloatArray]:
+        """The next vehicles behind: rows [n], -1 for none, and the gaps to those who look, inf for none."""
+        at = np.searchsorted(self._node, node) - 1
+        lane = self._road.graph.node_lane[node]
+        there = np.maximum(at, 0)
+        same = (at >= 0) & (self._lane[there] == lane)
+        found = np.where(same, self._row[there], -1)
+        distance = np.where(same, (node - self._node[there]).astype(np.float64), np.inf)
+        for k in np.flatnonzero(~same).tolist():
+            found[k], distance[k] = self._upstream(int(lane[k]), self._road.offset(node[k]), int(rows[k]))
+        return found, distance - self.length[rows]
+
+    def _holds(self, at: IntArray, rows: IntArray) -> IntArray:
+        """1 where the sorted vehicles hold a given row at a place, else 0."""
+        inside = np.minimum(at, len(self._row) - 1)
+        return ((at < len(self._row)) & (self._row[inside] == rows)).astype(np.int64)
+
+    def _further(
+        self, lane: int, route: RouteLanes, travelled: float, row: int, reach: float
+    ) -> tuple[int, float]:
+        """The first vehicle on the lanes after this one, whose start is ``travelled`` m away."""
+        while travelled < reach and (lane := int(route.onward[lane])) >= 0:
+            first = self._road.first[lane]
+            at = int(np.searchsorted(self._node, first))
+            if at < len(self._row) and self._lane[at] == lane and self._row[at] != row:
+                gap = travelled + float(self._node[at] - first) - float(self.length[self._row[at]])
+                return int(self._row[at]), gap
+            travelled += float(self._road.metres[lane])
+        return -1, np.inf
+
+    def _upstream(self, lane: int, base: float, row: int) -> tuple[int, float]:
+        """The nearest last vehicle of the lanes before this one, whose start is ``base`` m behind."""
+        best, nearest = -1, BEHIND
+        upstream = [(lane, base)]
+        while upstream:
+            lane, base = upstream.pop()
+            for before in self._road.preceding[lane]:
+                end = self._road.first[before] + self._road.count[before]
+                at = int(np.searchsorted(self._node, end)) - 1
+                length = float(self._road.metres[before])
+                if at >= 0 and self._lane[at] == before and self._row[at] != row:
+                    distance = base + length - float(self._node[at] - self._road.first[before])
+                    if distance < nearest:
+                        best, nearest = int(self._row[at]), distance
+                elif base + length < nearest:
+                    upstream.append((before, base + length))
+        return best, nearest if best >= 0 else np.inf
+
+
+def overall_length(table: VehicleTable) -> np.ndarray:
+    """[N] m, bumper to bumper, trailer included."""
+    front = table["length"] - table["rear_overhang"]
+    return front + np.maximum(table["rear_overhang"], table["trailer_length"] - table["trailer_setback"])

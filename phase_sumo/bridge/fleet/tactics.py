@@ -1,0 +1,144 @@
+"""Which lane to take, for many vehicles at once. Rules, in order:
+
+1. A lane change that the route needs is asked for once the room that is left falls below
+   ``CHANGE_TIME`` x target speed per change; at a lane's end (acceleration lane) that is at once.
+2. Otherwise a vehicle takes the lane beside, on either side, that gains the most by MOBIL (`incentive`), if it is
+   above the threshold, safe, and leads on along the route without a needed change soon. To the left it
+   must gain itself. The bias towards the right holds where the right lane is free far ahead.
+3. Otherwise it keeps its lane, as it does for ``REST`` after a change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from phase_sumo.bridge.fleet.incentive import KEEP_RIGHT, THRESHOLD, acceleration, felt, gain, safe
+from phase_sumo.bridge.fleet.occupancy import Occupancy
+from phase_sumo.bridge.fleet.road import BoolArray, FloatArray, IntArray, Road
+from phase_sumo.bridge.fleet.route import RouteLanes
+from phase_sumo.bridge.fleet.table import VehicleTable
+
+LEFT, RIGHT = 1, -1
+CHANGE_TIME = 12.0  # s of target speed per needed change
+CHANGE_ROOM = 150.0  # m per needed change at least
+LOOK_TIME = 10.0  # s of target speed within which a leader matters
+SLOWER = 2.5  # m/s below the target speed: a leader in the right lane that does not invite back
+REST = 8.0  # s between the end of a change and one of one's own choice
+
+
+def sides(
+    road: Road,
+    table: VehicleTable,
+    occupancy: Occupancy,
+    rows: IntArray,
+    node: IntArray,
+    routes: Sequence[RouteLanes],
+    bound: BoolArray,
+) -> IntArray:
+    """Where to go: `LEFT`, `RIGHT` or 0 to stay.
+
+    Args:
+        rows, node: [n] the vehicles and the nodes of their front bumpers.
+        routes: of each.
+        bound: [n] those that change only if their route needs it.
+    """
+    lane = road.graph.node_lane[node]
+    needed, room, side = (
+        np.array([getattr(route, name)[k] for route, k in zip(routes, lane.tolist(), strict=True)])
+        for name in ("changes", "room", "side")
+    )
+    stretch = np.maximum(CHANGE_TIME * table["goal_speed"][rows].astype(np.float64), CHANGE_ROOM)
+    must = (needed > 0) & np.isfinite(needed) & (room - (node - road.first[lane]) < needed * stretch)
+    chosen = np.where(must, side, 0)
+    ask = np.flatnonzero(~must & ~bound)
+    if len(ask):
+        own = [routes[k] for k in ask.tolist()]
+        scene = _Scene(road, table, occupancy, rows[ask], node[ask], own)
+        worth = np.stack([scene.worth(way, needed[ask], stretch[ask]) for way in (LEFT, RIGHT)])
+        best = np.where(worth[0] >= worth[1], LEFT, RIGHT)
+        chosen[ask] = np.where(worth.max(0) > THRESHOLD, best, 0)
+    return chosen
+
+
+class _Scene:
+    """Some vehicles, and whom they have ahead and behind in their lanes."""
+
+    def __init__(
+        self,
+        road: Road,
+        table: VehicleTable,
+        occupancy: Occupancy,
+        rows: IntArray,
+        node: IntArray,
+        routes: Sequence[RouteLanes],
+    ) -> None:
+        self._road, self._occupancy, self._routes = road, occupancy, routes
+        self._rows, self._node = rows, node
+        self._speed = np.maximum(table["speed"].astype(np.float64), 0.0)
+        # SUMO's vehicles are taken to drive as fast as they want
+        self._target = np.where(table.controlled, table["goal_speed"], np.maximum(self._speed, 1.0))
+        self._reach = LOOK_TIME * self._target[rows]
+        self._leader, self._gap = occupancy.leaders(node, rows, routes, self._reach)
+        follower, behind = occupancy.followers(node, rows)
+        self._now = self._acceleration(rows, self._gap, self._leader)
+        whole = behind + occupancy.length[rows] + self._gap
+        self._relief = np.where(
+            follower >= 0,
+            felt(self._acceleration(follower, whole, self._leader))
+            - felt(self._acceleration(follower, behind, rows)),
+            0.0,
+        )
+
+    def worth(self, way: int, needed: FloatArray, stretch: FloatArray) -> FloatArray:
+        """[n] m/s^2 that a change gains, with the bias; -inf where it is impossible, unsafe or of no use."""
+        worth = np.full(len(self._rows), -np.inf)
+        graph = self._road.graph
+        beside = (graph.left if way == LEFT else graph.right)[self._node]
+        use = beside >= 0
+        if way == LEFT:
+            use &= self._leader >= 0  # or there is nothing to gain
+        use[use] = self._leads_on(beside[use], np.flatnonzero(use), way, needed[use], stretch[use])
+        k = np.flatnonzero(use)
+        if not len(k):
+            return worth
+        rows, node, occupancy = self._rows[k], beside[k], self._occupancy
+        leader, gap = occupancy.leaders(node, rows, [self._routes[i] for i in k.tolist()], self._reach[k])
+        follower, behind = occupancy.followers(node, rows)
+        own = self._acceleration(rows, gap, leader)
+        whole = np.maximum(behind, 0.0) + occupancy.length[rows] + np.maximum(gap, 0.0)
+        before = self._acceleration(follower, whole, leader)
+        after = np.where(follower >= 0, self._acceleration(follower, behind, rows), 0.0)
+        burden = np.where(follower >= 0, felt(after) - felt(before), 0.0)
+        advantage = felt(own) - felt(self._now[k])
+        value = gain(advantage, burden, self._relief[k])
+        if way == LEFT:
+            value = np.where(advantage > 0, value - KEEP_RIGHT, -np.inf)
+        else:
+            value = value + KEEP_RIGHT * self._inviting(rows, leader)
+        worth[k] = np.where(safe(own, after), value, -np.inf)
+        return worth
+
+    def _acceleration(self, rows: IntArray, gap: FloatArray, leader: IntArray) -> FloatArray:
+        """Of the vehicles ``rows`` behind the ``leader`` rows, -1 for none; rows -1 give a number, too."""
+        return acceleration(self._speed[rows], self._target[rows], gap, self._speed[leader])
+
+    def _inviting(self, rows: IntArray, leader: IntArray) -> BoolArray:
+        return (leader < 0) | (self._speed[leader] > self._target[rows] - SLOWER)
+
+    def _leads_on(
+        self, beside: IntArray, k: IntArray, way: int, needed: FloatArray, stretch: FloatArray
+    ) -> BoolArray:
+        """Whether the lanes beside lead on along the route, with no needed change soon that is not one now."""
+        lane = self._road.graph.node_lane[beside]
+        changes, room = (
+            np.array(
+                [getattr(self._routes[i], name)[j] for i, j in zip(k.tolist(), lane.tolist(), strict=True)]
+            )
+            for name in ("changes", "room")
+        )
+        room = room - (beside - self._road.first[lane])
+        soon = (changes > 0) & (changes >= needed) & (room < (changes + 1.0) * stretch)
+        astray = changes > needed if way == RIGHT else ~np.isfinite(changes)
+        return np.isfinite(changes) & ~soon & ~astray
