@@ -3,9 +3,10 @@
 The policy drives to a point; this module moves the point, in the lane that `tactics` chooses. It lies 6 s of
 target speed ahead, 40..150 m; for a change that the route needs it lies before the place where the lane leads
 astray, but never nearer than the 2.5 s of driving that a change takes. On a curve it is drawn nearer, so that
-the straight line to it keeps to the lane, and nearest (1.6 s) for a vehicle that is out of line with its lane.
-It is set anew when it is nearer than 1.2 s, or behind; lanes are reviewed every second, and a change that has
-begun is kept until it is done or the goal is reached.
+the straight line to it keeps to the lane, and nearest (1.6 s) for a vehicle out of line with its lane.
+It is set anew when it is nearer than 1.2 s, or behind. Lanes are reviewed every second; a change of one's own
+choice begins when it has been worth while for as long as it takes, and a change that has begun is kept until
+it is done or the goal is reached.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ STRAY_TURN, STRAY_ASIDE = 0.12, 0.9  # rad and m off the lane's direction and ce
 NEAREST_TIME = 1.6  # s of driving to the goal at least, or it would be set anew at once
 REVIEW = 1.0  # s between two looks at the lanes
 SHORTEST_CHANGE_TIME, SHORTEST_CHANGE = 2.5, 15.0  # s of driving and m that a change takes at least
+PATIENCE = 3.0  # s for which a change of one's own choice must be worth while before it begins
+REST = 8.0  # s between the end of a change and one of one's own choice
 
 
 class GoalPlanner:
@@ -39,11 +42,12 @@ class GoalPlanner:
         self._review: dict[str, float] = {}
         self._changing: dict[str, tuple[int, float]] = {}  # lane being left, time until which to persist
         self._rested: dict[str, float] = {}
+        self._wished: dict[str, tuple[int, float]] = {}  # side, and since when
         self.changes_wanted = 0
 
     def forget(self, vehicle: str) -> None:
         """The vehicle is no longer ours."""
-        for memory in (self._review, self._changing, self._rested):
+        for memory in (self._review, self._changing, self._rested, self._wished):
             memory.pop(vehicle, None)
 
     def update(self, time: float, node: np.ndarray, routes: dict[str, RouteLanes]) -> None:
@@ -67,7 +71,7 @@ class GoalPlanner:
                 if not near[k] and self._on_its_way(time, vehicle, int(node[rows[k]])):
                     continue
                 del self._changing[vehicle]
-                self._rested[vehicle] = time + tactics.REST
+                self._rested[vehicle] = time + REST
                 fresh[k] = True
             asking.append(k)
         if asking:
@@ -80,12 +84,16 @@ class GoalPlanner:
     def _ask(
         self, time: float, rows: IntArray, fresh: BoolArray, node: IntArray, routes: list[RouteLanes]
     ) -> None:
-        """Choose lanes, and set the goals of vehicles that change, are out of line or need one (``fresh``)."""
+        """Choose lanes; set the goals of those that change, are out of line or need one (``fresh``)."""
         road, table, graph = self._road, self._table, self._road.graph
         at, vehicles = node[rows], [table.ids[row] for row in rows.tolist()]
         stray = self._stray(rows, at)
         resting = np.array([time < self._rested.get(vehicle, -np.inf) for vehicle in vehicles])
-        side = tactics.sides(road, table, Occupancy(road, table, node), rows, at, routes, stray | resting)
+        side, needed = tactics.sides(
+            road, table, Occupancy(road, table, node), rows, at, routes, stray | resting
+        )
+        lasting = np.array([self._lasts(time, *wish) for wish in zip(vehicles, side.tolist(), strict=True)])
+        side = np.where(needed | lasting, side, 0)
         beside = np.where(side > 0, graph.left[at], np.where(side < 0, graph.right[at], -1))
         changing = beside >= 0
         for k in np.flatnonzero(changing | fresh | stray).tolist():
@@ -109,6 +117,14 @@ class GoalPlanner:
         turn = np.remainder(self._table["yaw"][rows] - yaw + np.pi, 2 * np.pi) - np.pi
         aside = y * np.cos(yaw) - x * np.sin(yaw)
         return (np.abs(turn) > STRAY_TURN) | (np.abs(aside) > STRAY_ASIDE)
+
+    def _lasts(self, time: float, vehicle: str, side: int) -> bool:
+        """Whether the vehicle has wished for the lane on a side long enough."""
+        before, since = self._wished.get(vehicle, (0, time))
+        if side != before:
+            since = time
+        self._wished[vehicle] = (side, since)
+        return time - since >= PATIENCE - 1e-6
 
     def _change_length(self, row: int, node: int, lane: int, route: RouteLanes) -> float:
         """m within which the change must be done: the room that is left, if that can be driven."""

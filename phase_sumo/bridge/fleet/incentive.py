@@ -16,10 +16,10 @@ n the follower in the new lane, o the one in the old, accelerations after the ch
 above the threshold, which a bias raises for changes away from the keep-right lane and lowers for those
 towards it. It is safe if neither c nor n must brake harder than ``SAFE_BRAKING`` after it.
 
-Values: Kesting, Treiber, Helbing, "General lane-changing model MOBIL for car-following models" (2007), its
-politeness between 0.2 and 0.5, threshold 0.1 and bias 0.3 m/s^2, safe braking 4 m/s^2, of which we allow half,
-since the policy takes several seconds for a change; T, a, b, s0 rounded from there. Improved IDM: Treiber, Kesting,
-"Traffic Flow Dynamics" (2013), chapter 11.
+Kesting, Treiber, Helbing, "General lane-changing model MOBIL for car-following models" (2007): threshold and
+bias are near its 0.1 and 0.3 m/s^2, politeness within its 0.2 to 0.5; of its safe braking of 4 m/s^2 we allow
+half, since the policy takes several seconds for a change. Treiber, Kesting, "Traffic Flow Dynamics" (2013),
+chapter 11: the improved IDM, and T, a, b, s0 for motorways.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ import numpy as np
 
 from phase_sumo.bridge.fleet.road import BoolArray, FloatArray
 
-TIME_GAP = 1.5  # s, T
+TIME_GAP = 1.0  # s, T
 STANDSTILL = 2.0  # m, s0
-ACCELERATION, BRAKING = 1.5, 2.0  # m/s^2, a and b
+ACCELERATION, BRAKING = 1.0, 1.5  # m/s^2, a and b
 POLITENESS = 0.3  # p
 THRESHOLD = 0.2  # m/s^2
 KEEP_RIGHT = 0.3  # m/s^2, bias

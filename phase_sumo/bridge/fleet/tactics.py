@@ -2,10 +2,10 @@
 
 1. A lane change that the route needs is asked for once the room that is left falls below
    ``CHANGE_TIME`` x target speed per change; at a lane's end (acceleration lane) that is at once.
-2. Otherwise a vehicle takes the lane beside, on either side, that gains the most by MOBIL (`incentive`), if it is
-   above the threshold, safe, and leads on along the route without a needed change soon. To the left it
-   must gain itself. The bias towards the right holds where the right lane is free far ahead.
-3. Otherwise it keeps its lane, as it does for ``REST`` after a change.
+2. Otherwise a vehicle wishes for the lane beside, on either side, that gains the most by MOBIL (`incentive`),
+   if that is above the threshold, safe, and leads on along the route without a needed change soon. To the
+   left it must gain itself. The bias to the right holds where the right lane is free far ahead.
+3. Otherwise it keeps its lane.
 """
 
 from __future__ import annotations
@@ -24,8 +24,6 @@ LEFT, RIGHT = 1, -1
 CHANGE_TIME = 12.0  # s of target speed per needed change
 CHANGE_ROOM = 150.0  # m per needed change at least
 LOOK_TIME = 10.0  # s of target speed within which a leader matters
-SLOWER = 2.5  # m/s below the target speed: a leader in the right lane that does not invite back
-REST = 8.0  # s between the end of a change and one of one's own choice
 
 
 def sides(
@@ -36,8 +34,8 @@ def sides(
     node: IntArray,
     routes: Sequence[RouteLanes],
     bound: BoolArray,
-) -> IntArray:
-    """Where to go: `LEFT`, `RIGHT` or 0 to stay.
+) -> tuple[IntArray, BoolArray]:
+    """Where to go, `LEFT`, `RIGHT` or 0 to stay, and whether the route needs that.
 
     Args:
         rows, node: [n] the vehicles and the nodes of their front bumpers.
@@ -59,7 +57,7 @@ def sides(
         worth = np.stack([scene.worth(way, needed[ask], stretch[ask]) for way in (LEFT, RIGHT)])
         best = np.where(worth[0] >= worth[1], LEFT, RIGHT)
         chosen[ask] = np.where(worth.max(0) > THRESHOLD, best, 0)
-    return chosen
+    return chosen, must
 
 
 class _Scene:
@@ -116,7 +114,8 @@ class _Scene:
         if way == LEFT:
             value = np.where(advantage > 0, value - KEEP_RIGHT, -np.inf)
         else:
-            value = value + KEEP_RIGHT * self._inviting(rows, leader)
+            free = (leader < 0) | (self._speed[leader] > self._target[rows])
+            value = value + KEEP_RIGHT * free
         worth[k] = np.where(safe(own, after), value, -np.inf)
         return worth
 
@@ -124,13 +123,10 @@ class _Scene:
         """Of the vehicles ``rows`` behind the ``leader`` rows, -1 for none; rows -1 give a number, too."""
         return acceleration(self._speed[rows], self._target[rows], gap, self._speed[leader])
 
-    def _inviting(self, rows: IntArray, leader: IntArray) -> BoolArray:
-        return (leader < 0) | (self._speed[leader] > self._target[rows] - SLOWER)
-
     def _leads_on(
         self, beside: IntArray, k: IntArray, way: int, needed: FloatArray, stretch: FloatArray
     ) -> BoolArray:
-        """Whether the lanes beside lead on along the route, with no needed change soon that is not one now."""
+        """Whether the lanes beside lead on along the route without a needed change soon."""
         lane = self._road.graph.node_lane[beside]
         changes, room = (
             np.array(
