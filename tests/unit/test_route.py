@@ -19,14 +19,7 @@ from phase_sumo.bridge.fleet.route import (
 )
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.sim.lanes import Lane, LaneNetwork
-
-W = 3.6
-
-
-def lane(edge, index, x0, x1, y=None, **kwargs):
-    y = index * W if y is None else y
-    points = np.array([[x0, y], [x1, y]], float)
-    return Lane(f"{edge}_{index}", edge, points, W, 30.0, float(x1 - x0), **kwargs)
+from tests.toy_motorway import W, lane, nodes, put
 
 
 @pytest.fixture(scope="module")
@@ -113,26 +106,12 @@ def test_a_vehicle_that_faces_the_traffic_is_on_no_lane(road):
     assert node[0] == -1
 
 
-def put(table, road, name, x, y, speed, goal_speed=None):
-    from phase_sumo.bridge.sumo.conventions import shape_from_type
-
-    row = table.add(name, shape_from_type("passenger", 5.0, 1.8))
-    table["x"][row], table["y"][row], table["speed"][row] = x - 4.0, y, speed  # front bumper at x
-    if goal_speed is not None:
-        table.controlled[row] = True
-        table["goal_speed"][row] = goal_speed
-    return row
-
-
 def goals(road, vehicles, route):
     """Plan once for the first vehicle."""
     table = VehicleTable(8)
-    rows = [put(table, road, *v) for v in vehicles]
-    x, y = table.front
-    node = np.full(len(table), -1)
-    active = np.flatnonzero(table.active)
-    node[active], _ = road.track(node[active], x[active], y[active], table["yaw"][active])
-    GoalPlanner(road, table).update(0.0, node, {vehicles[0][0]: route_lanes(road, route, truck=False)})
+    rows = [put(table, *v) for v in vehicles]
+    routes = {vehicles[0][0]: route_lanes(road, route, truck=False)}
+    GoalPlanner(road, table).update(0.0, nodes(table, road), routes)
     return float(table["goal_x"][rows[0]]), float(table["goal_y"][rows[0]])
 
 
@@ -163,16 +142,6 @@ def test_change_for_the_route_is_asked_for_before_the_room_ends(road):
 
 def test_acceleration_lane_asks_for_the_change_at_once(road):
     assert goals(road, [("a", 320.0, 0.0, 20.0, 25.0)], MERGE)[1] == pytest.approx(W)
-
-
-def test_slow_leader_is_overtaken_on_the_left_when_there_is_room(road):
-    slow = ("b", 100.0, W, 10.0)
-    route = ("in", "wide", "out")
-    assert goals(road, [("a", 50.0, W, 20.0, 25.0), slow], route)[1] == pytest.approx(2 * W)
-    beside = ("c", 48.0, 2 * W, 25.0)
-    assert goals(road, [("a", 50.0, W, 20.0, 25.0), slow, beside], route)[1] == pytest.approx(W)
-    closing = ("c", 20.0, 2 * W, 35.0)
-    assert goals(road, [("a", 50.0, W, 20.0, 25.0), slow, closing], route)[1] == pytest.approx(W)
 
 
 @pytest.fixture(scope="module")

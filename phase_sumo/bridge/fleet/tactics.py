@@ -2,8 +2,8 @@
 
 1. A lane change that the route needs is asked for once the room that is left falls below
    ``CHANGE_TIME`` x target speed per change; at a lane's end (acceleration lane) that is at once.
-2. Otherwise a vehicle wishes for the lane beside, on either side, that gains the most by MOBIL (`incentive`),
-   if that is above the threshold, safe, and leads on along the route without a needed change soon. To the
+2. Otherwise a vehicle wishes for the lane beside, the left one first, if by MOBIL (`incentive`) the change
+   gains more than the threshold, is safe, and leads on along the route without a needed change soon. To the
    left it must gain itself. The bias to the right holds where the right lane is free far ahead.
 3. Otherwise it keeps its lane.
 """
@@ -54,9 +54,8 @@ def sides(
     if len(ask):
         own = [routes[k] for k in ask.tolist()]
         scene = _Scene(road, table, occupancy, rows[ask], node[ask], own)
-        worth = np.stack([scene.worth(way, needed[ask], stretch[ask]) for way in (LEFT, RIGHT)])
-        best = np.where(worth[0] >= worth[1], LEFT, RIGHT)
-        chosen[ask] = np.where(worth.max(0) > THRESHOLD, best, 0)
+        left, right = (scene.worth(way, needed[ask], stretch[ask]) > THRESHOLD for way in (LEFT, RIGHT))
+        chosen[ask] = np.where(left, LEFT, np.where(right, RIGHT, 0))
     return chosen, must
 
 
