@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from phase_sumo.bridge.fleet.goals import GoalPlanner
+from phase_sumo.bridge.fleet.occupancy import Occupancy
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.bridge.sumo.conventions import shape_from_type
@@ -24,7 +26,7 @@ def put(table: VehicleTable, name, x, y, speed, goal_speed=None) -> int:
     table["x"][row], table["y"][row], table["speed"][row] = x - 4.0, y, speed
     if goal_speed is not None:
         table.controlled[row] = True
-        table["goal_speed"][row] = goal_speed
+        table["goal_speed"][row] = table.wanted_speed[row] = goal_speed
     return row
 
 
@@ -34,3 +36,9 @@ def nodes(table: VehicleTable, road: Road) -> np.ndarray:
     node, active = np.full(len(table), -1), np.flatnonzero(table.active)
     node[active], _ = road.track(node[active], x[active], y[active], table["yaw"][active])
     return node
+
+
+def plan(planner: GoalPlanner, time: float, table: VehicleTable, road: Road, routes) -> None:
+    """Set goals as `Controller.drive` does."""
+    node = nodes(table, road)
+    planner.update(time, node, Occupancy(road, table, node), routes)

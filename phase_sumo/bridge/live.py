@@ -53,6 +53,7 @@ class PhaseFleet(StepListener):
         alpha: float | tuple[float, float] | None = None,
         explicit: Sequence[str] = (),
         deterministic: bool = False,
+        time_gap: float | None = None,
         seed: int = 0,
         roads: Literal["freeway", "all"] = "freeway",
         drives: bool = True,
@@ -62,7 +63,7 @@ class PhaseFleet(StepListener):
         Args:
             api: ``libsumo``, ``traci`` or one of traci's connections.
             policy: a loaded policy or its file; None loads the shipped one.
-            share, types, alpha, explicit, deterministic, seed: see `Choice`.
+            share, types, alpha, explicit, deterministic, time_gap, seed: see `Choice`.
             roads: ``"freeway"`` observes and drives motorways and ramps only, ``"all"`` every road.
             drives: False only watches: trips and contacts of a run without PHASE.
 
@@ -71,7 +72,7 @@ class PhaseFleet(StepListener):
         """
         check_options(api)
         option = api.simulation.getOption
-        self.choice = Choice(share, tuple(types), alpha, seed, tuple(explicit), deterministic)
+        self.choice = Choice(share, tuple(types), alpha, seed, tuple(explicit), deterministic, time_gap)
         self.simulation = Simulation(api)
         network = read_network(option("net-file"), roads)
         edges = frozenset(lane.edge for lane in network.lanes if not lane.connector)
@@ -148,6 +149,7 @@ class PhaseFleet(StepListener):
         *,
         alpha: float | None = None,
         target_speed: float | None = None,
+        time_gap: float | None = None,
         policy: str | Path | None = None,
     ) -> None:
         """Set the vehicle's ``phase.*`` parameters and drive by them from the next step on.
@@ -157,11 +159,12 @@ class PhaseFleet(StepListener):
         Args:
             alpha: longitudinal action range, 0.1..1.
             target_speed: m/s, 3..40.
+            time_gap: s to the leader that the target speed leaves, up to 5; 0 to take no heed of leaders.
             policy: file.
         """
         fleet, api = self._checked(vehicle), self.simulation.api.vehicle
         file = None if policy is None else Path(policy).resolve()
-        given = {"alpha": alpha, "target_speed": target_speed, "policy": file}
+        given = {"alpha": alpha, "target_speed": target_speed, "time_gap": time_gap, "policy": file}
         texts = {f"phase.{name}": str(value) for name, value in given.items() if value is not None}
         before = {key: api.getParameter(vehicle, key) for key in texts}
         for key, text in texts.items():

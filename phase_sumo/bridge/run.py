@@ -37,6 +37,7 @@ def run_scenario(
     alpha: float | tuple[float, float] | None = None,
     explicit: Sequence[str] = (),
     deterministic: bool = False,
+    time_gap: float | None = None,
     phase: bool = True,
     seed: int | None = None,
     model: str | None = None,
@@ -60,6 +61,8 @@ def run_scenario(
         alpha: longitudinal action range of every vehicle, or bounds to draw it from (see `Choice`).
         explicit: ids of vehicles that PHASE drives in any case.
         deterministic: meet the share by counting vehicles instead of drawing.
+        time_gap: s to the leader that target speeds leave, 0 for the policy alone; None takes each vType's
+            tau.
         phase: False leaves every vehicle to SUMO, whatever is said of it.
         seed: SUMO's and ours; None keeps the scenario's for SUMO and takes 0 for us.
         model: SUMO car-following model (``"idm"``, ``"krauss"`` ...) for all vehicles that SUMO drives; None
@@ -108,6 +111,7 @@ def run_scenario(
                 alpha=alpha,
                 explicit=explicit,
                 deterministic=deterministic,
+                time_gap=time_gap,
                 seed=seed or 0,
                 roads=roads,
                 drives=phase,

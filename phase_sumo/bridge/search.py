@@ -144,7 +144,7 @@ def _vehicle(fleet: PhaseFleet, row: int, name: str) -> SceneVehicle:
         speed=round(float(table["speed"][row]), DIGITS),
         route=route,
         alpha=round(float(table["alpha"][row]), DIGITS),
-        target_speed=round(float(table["goal_speed"][row]), DIGITS),
+        target_speed=round(float(table.wanted_speed[row]), DIGITS),
     )
 
 

@@ -208,6 +208,12 @@ def make_parser() -> argparse.ArgumentParser:
             metavar="A",
             help="action range, one value or two bounds in 0.1..1",
         )
+        sub.add_argument(
+            "--time-gap",
+            type=float,
+            metavar="S",
+            help="that target speeds leave to the leader; 0: the policy alone; each vType's tau if left out",
+        )
         sub.add_argument("--end", type=float, metavar="S", help="stop at this simulated time in s")
         if name == "run":
             sub.add_argument("--out", metavar="DIR", help="folder for SUMO's and our outputs")

@@ -147,7 +147,7 @@ def test_context_reaches_the_policy_and_may_change_during_the_run(started):
         vehicle("own", "calm", 3, ("phase.alpha", "0.9")),
         vehicle("p", "plain", 6),
     )
-    fleet = phase_sumo.PhaseFleet(sumo, Standin(), alpha=0.5)
+    fleet = phase_sumo.PhaseFleet(sumo, Standin(), alpha=0.5, time_gap=0.0)
     sumo.addStepListener(fleet)
     run_for(8)
     table, row = fleet.scene.table, fleet.scene.table.row_of
@@ -165,7 +165,10 @@ def test_context_reaches_the_policy_and_may_change_during_the_run(started):
     fleet.set_context("own")
     run_for(4)
     assert float(table["goal_speed"][row["own"]]) == pytest.approx(25.0)
-    assert sumo.vehicle.getSpeed("calm") < 14.0 < 20.0 < sumo.vehicle.getSpeed("own")
+    assert sumo.vehicle.getSpeed("calm") < 14.0 < 19.0 < sumo.vehicle.getSpeed("own")
+    fleet.set_context("own", time_gap=1.5)
+    run_for(0.1)
+    assert float(table["goal_speed"][row["own"]]) < 24.0  # "calm" is ahead
     with pytest.raises(PhaseError, match=r"phase.alpha='2'"):
         fleet.set_context("calm", alpha=2)
     assert sumo.vehicle.getParameter("calm", "phase.alpha") == "0.8"
@@ -267,7 +270,7 @@ def test_misuse_of_the_loop_is_refused(started):
 
 def test_a_fleet_may_join_late_and_leave_early(started, scenario):
     sumo = started()
-    run_for(5)
+    run_for(4)
     fleet = phase_sumo.PhaseFleet(sumo, Standin())
     sumo.addStepListener(fleet)
     run_for(1)

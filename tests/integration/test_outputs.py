@@ -25,7 +25,9 @@ SCHEMAS = Path(sumolib.checkBinary("sumo")).parents[1] / "data" / "xsd"
 ROUTES = """<routes>
     <vType id="car" vClass="passenger" length="4.8" width="1.9" speedFactor="normc(0.9,0.1,0.7,1.1)"/>
     <vType id="semi" vClass="trailer" length="20.0" width="2.55" accel="0.9" maxSpeed="25"
-           speedFactor="0.85"/>
+           speedFactor="0.85">
+        <param key="phase.target_speed" value="14"/>
+    </vType>
     <flow id="m" type="car" from="main0" to="main2" begin="0" end="40" period="2.2" departLane="best"
           departSpeed="avg"/>
     <flow id="t" type="semi" from="main0" to="main2" begin="0" end="40" period="9" departLane="0"
@@ -61,7 +63,7 @@ def frames(path):
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory):
-    """Half of the vehicles under PHASE, in a minute with two contacts."""
+    """Half of the vehicles under a policy that looks at no one."""
     folder = tmp_path_factory.mktemp("mixed")
     names = ("fcd-output", "tripinfo-output", "lanechange-output", "collision-output", "statistic-output")
     options = [
@@ -71,8 +73,8 @@ def mixed(tmp_path_factory):
         *("--device.ssm.measures", "TTC DRAC PET", "--device.ssm.thresholds", "12 0.1 1"),
     ]
     result = run_scenario(
-        write_scenario(folder), policy=Standin(), seed=1, share=0.5, end=50, sumo_options=options,
-        output_dir=folder / "ours", record=False,
+        write_scenario(folder), policy=Standin(reckless=True), alpha=0.5, seed=1, share=0.5, time_gap=0.0,
+        end=50, sumo_options=options, output_dir=folder / "ours", record=False,
     )  # fmt: skip
     return folder, result, read_events(folder / "ours" / "events.csv")
 
@@ -161,12 +163,13 @@ def test_route_lengths_are_what_was_driven(mixed, tmp_path, step):
                 driven[name] += np.hypot(x - last[name][0], y - last[name][1])
             last[name] = x, y
     trips = {t.get("id"): t for t in rows(folder / "tripinfo-output.xml")}
-    changed = {c.get("id") for c in rows(folder / "lanechange-output.xml")}
-    assert changed & set(trips)
+    changed = [c.get("id") for c in rows(folder / "lanechange-output.xml")]
+    assert set(changed) & trips.keys()
     for name, trip in trips.items():
         final = step * max(float(trip.get("arrivalSpeed")), 0.0)  # the last step ends beyond the network
+        aside = 2.0 * changed.count(name)  # m of its way; SUMO's own vehicles jump from lane to lane
         assert float(trip.get("routeLength")) == pytest.approx(
-            driven[name] + 0.5 * final, abs=0.5 * final + 4.0
+            driven[name] + 0.5 * final, abs=0.5 * final + 4.0 + aside
         )
 
 

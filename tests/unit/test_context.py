@@ -29,14 +29,15 @@ def parameters(own=None, types=None, vclass="trailer", length=20.0, width=2.55):
 def test_nothing_said_leaves_everything_to_the_run():
     found = parameters()
     assert found.marks() == Marks()
-    assert found.context() == Context(None, None, None)
+    assert found.context() == Context(None, None, None, None)
     assert found.shape() == (shape_from_type("trailer", 20.0, 2.55), "articulated")
 
 
 def test_the_vehicles_own_values_win_over_its_types():
     types = {"phase.alpha": "0.3", "phase.target_speed": "20", "phase.policy": "a.safetensors"}
-    found = parameters({"phase.alpha": "0.9", "phase.policy": "b.safetensors"}, types)
-    assert found.context() == Context(0.9, 20.0, "b.safetensors")
+    own = {"phase.alpha": "0.9", "phase.policy": "b.safetensors", "phase.time_gap": "0.8"}
+    found = parameters(own, types)
+    assert found.context() == Context(0.9, 20.0, 0.8, "b.safetensors")
 
 
 def test_marks_are_read_where_sumo_allows_them():
@@ -75,6 +76,7 @@ def test_what_is_left_out_fits_sumos_box(given):
     ("own", "words"),
     [
         ({"phase.alpha": "fast"}, ["phase.alpha='fast'", "0.1..1"]),
+        ({"phase.time_gap": "-1"}, ["phase.time_gap='-1'", "0..5"]),
         ({"phase.alpha": "1.2"}, ["phase.alpha='1.2'", "0.1..1"]),
         ({"phase.alpha": "nan"}, ["phase.alpha='nan'"]),
         ({"phase.target_speed": "130"}, ["phase.target_speed='130'", "3..40"]),

@@ -10,6 +10,7 @@ from phase_sumo.bridge.fleet.drivers import Drivers
 from phase_sumo.bridge.fleet.goals import GoalPlanner
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.table import VehicleTable
+from phase_sumo.bridge.fleet.target_speed import TargetSpeeds
 from phase_sumo.bridge.sumo.conventions import shape_from_type
 from phase_sumo.sim.synthetic_road import freeway
 from tests.standin import Standin
@@ -30,7 +31,8 @@ def neighbours(road, x, y, yaw, controlled):
         table["x"][row], table["y"][row], table["yaw"][row] = x[i], y[i], yaw[i]
         table.controlled[row] = controlled[i]
     rows = np.flatnonzero(table.controlled)
-    controller = Controller(road, table, Drivers(Standin()), GoalPlanner(road, table))
+    speeds = TargetSpeeds(road, table, np.full(len(road.count), 30.0))
+    controller = Controller(road, table, Drivers(Standin()), speeds, GoalPlanner(road, table))
     index, mask = (t.numpy() for t in controller._neighbours(rows, Standin().sim))
     assert (np.diff(mask.astype(int), axis=1) <= 0).all()  # real ones come first
     return table, rows, [i[m].tolist() for i, m in zip(index, mask, strict=True)]

@@ -19,7 +19,7 @@ from phase_sumo.bridge.fleet.route import (
 )
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.sim.lanes import Lane, LaneNetwork
-from tests.toy_motorway import W, lane, nodes, put
+from tests.toy_motorway import W, lane, plan, put
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def goals(road, vehicles, route):
     table = VehicleTable(8)
     rows = [put(table, *v) for v in vehicles]
     routes = {vehicles[0][0]: route_lanes(road, route, truck=False)}
-    GoalPlanner(road, table).update(0.0, nodes(table, road), routes)
+    plan(GoalPlanner(road, table), 0.0, table, road, routes)
     return float(table["goal_x"][rows[0]]), float(table["goal_y"][rows[0]])
 
 
@@ -199,10 +199,13 @@ def test_curves_ahead_on_the_route_slow_down(bend):
     car, truck = np.array([False]), np.array([True])
     for edges, slow in ((("in", "turn"), True), (("in", "ahead"), False)):
         leave = route_lanes(bend, edges, truck=False).exit_speed[bend.graph.node_lane[node]]
-        speed = float(curve_speed(bend, leave, node, car)[0])
+        speed = float(curve_speed(bend, leave, node, car, np.zeros(1))[0])
         expected = np.sqrt(3.0 * 80.0 + 2.0 * BRAKING * 105.0) if slow else FASTEST
         assert speed == pytest.approx(expected, rel=0.02)
+        sooner = float(curve_speed(bend, leave, node, car, np.array([40.0]))[0])
+        there = np.sqrt(3.0 * 80.0 + 2.0 * BRAKING * 65.0) if slow else FASTEST
+        assert sooner == pytest.approx(there, rel=0.02)
     leave = route_lanes(bend, ("in", "turn"), truck=True).exit_speed[bend.graph.node_lane[node]]
-    assert curve_speed(bend, leave, node, truck)[0] == pytest.approx(
+    assert curve_speed(bend, leave, node, truck, np.zeros(1))[0] == pytest.approx(
         np.sqrt(160.0 + 2.0 * BRAKING * 105.0), rel=0.02
     )

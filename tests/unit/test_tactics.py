@@ -10,7 +10,7 @@ from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import route_lanes
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.sim.lanes import LaneNetwork
-from tests.toy_motorway import W, lane, nodes, put
+from tests.toy_motorway import W, lane, plan, put
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def lane_wanted(road, vehicles, edges=("long",), seconds=PATIENCE):
     ours = {v[0]: route_lanes(road, edges, truck=False) for v in vehicles if len(v) == 5}
     planner = GoalPlanner(road, table)
     for time in np.arange(seconds + 1.0):
-        planner.update(float(time), nodes(table, road), ours)
+        plan(planner, float(time), table, road, ours)
     return round(float(table["goal_y"][rows[0]]) / W)
 
 
@@ -84,7 +84,7 @@ def test_a_change_is_rested_after(road):
     begun = {}
     for tenth in range(400):
         time, wanted = 0.1 * tenth, planner.changes_wanted
-        planner.update(time, nodes(table, road), route)
+        plan(planner, time, table, road, route)
         if planner.changes_wanted > wanted:
             begun[len(begun)] = time
             table["y"][row] = table["goal_y"][row]  # done at once

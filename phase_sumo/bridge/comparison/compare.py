@@ -48,6 +48,7 @@ def compare(
     alpha: float | tuple[float, float] | None = None,
     explicit: Sequence[str] = (),
     deterministic: bool = False,
+    time_gap: float | None = None,
     roads: Literal["freeway", "all"] = "freeway",
     end: float | None = None,
     sumo_options: Sequence[str] = (),
@@ -66,7 +67,7 @@ def compare(
         share: under PHASE where a model is plain ``"phase"``.
         jobs: simulations at a time; None for as many as there are cores.
         progress: called with the fraction done and a line of text.
-        policy, types, alpha, explicit, deterministic, roads, end, sumo_options: see `run_scenario`.
+        policy, types, alpha, explicit, deterministic, time_gap, roads, end, sumo_options: see `run_scenario`.
 
     Returns:
         scenario, models, seeds, reference, section, ``runs`` (one dict per model and seed), ``summary`` (per
@@ -94,6 +95,7 @@ def compare(
                 "share": model.share,
                 "explicit": tuple(explicit),
                 "deterministic": deterministic,
+                "time_gap": time_gap,
                 "types": tuple(types or ()),
                 "alpha": alpha,
                 "seed": seed,
@@ -127,6 +129,7 @@ def compare(
         "share": Choice(share, explicit=tuple(explicit)).probability,
         "types": list(types or ()),
         "alpha": list(alpha) if isinstance(alpha, tuple) else alpha,
+        "time_gap": time_gap,
         "policy": _policy_name(policy),
         "policy_info": _policy_info(policy) if any(model.phase for model in chosen) else {},
         "background": reference,

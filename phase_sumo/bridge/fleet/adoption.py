@@ -84,7 +84,8 @@ class Adoption:
         lanes = self._lanes(edges, truck)
         row, here = self._table.row_of[vehicle], np.array([node])
         leave = lanes.exit_speed[self._road.graph.node_lane[here]]
-        fastest = curve_speed(self._road, leave, here, self._table["truck"][row : row + 1])
+        truck_here = self._table["truck"][row : row + 1]
+        fastest = curve_speed(self._road, leave, here, truck_here, np.zeros(1))
         if self._table["speed"][row] > fastest + TOO_FAST:
             return None  # SUMO's vehicles take any curve at any speed
         leads_off = at + len(edges) < len(route)
@@ -110,7 +111,8 @@ class Adoption:
     ) -> Member:
         api, table = self._api.vehicle, self._table
         factor = float(api.getSpeedFactor(vehicle))
-        member = Member(lanes, edges, leads_off, factor, float(api.getMaxSpeed(vehicle)))
+        highest, least = float(api.getMaxSpeed(vehicle)), float(api.getMinGap(vehicle))
+        member = Member(lanes, edges, leads_off, factor, highest, least)
         api.setSpeedMode(vehicle, SPEED_MODE)
         api.setLaneChangeMode(vehicle, LANE_MODE)
         table.controlled[row] = True
@@ -126,7 +128,7 @@ class Adoption:
         return member
 
     def read_context(self, vehicle: str, row: int, member: Member) -> None:
-        """Alpha, target speed and policy as the vehicle's parameters say now."""
+        """Alpha, target speed, time gap and policy as the vehicle's parameters say now."""
         context = Parameters(self._api, vehicle, self._scene.types[vehicle]).context()
         try:
             self._table.driver[row] = self._drivers.number(context.policy)
@@ -134,4 +136,6 @@ class Adoption:
             raise PhaseError(f"vehicle {vehicle!r}: parameter phase.policy: {error}") from None
         alpha = context.alpha
         self._table["alpha"][row] = self._choice.alpha_of(vehicle) if alpha is None else alpha
-        member.target_speed = context.target_speed
+        member.target_speed = context.target_speed or 0.0
+        time_gaps = (context.time_gap, self._choice.time_gap, float(self._api.vehicle.getTau(vehicle)))
+        member.time_gap = next(gap for gap in time_gaps if gap is not None)

@@ -1,4 +1,4 @@
-"""Which vehicles PHASE drives, as SUMO equips vehicles with its devices, and their action range."""
+"""Which vehicles PHASE drives, as SUMO equips vehicles with its devices, and their action range and gap."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from phase_sumo.errors import PhaseError
 
 ALPHA_BOUNDS = (0.3, 1.0)  # drawn from when nobody says otherwise: below 0.3 a vehicle can hardly keep up
+TIME_GAPS = (0.0, 5.0)  # s, allowed
 RESOLUTION = 1000  # of a deterministic share, SUMO's
 
 
@@ -37,6 +38,8 @@ class Choice:
         seed: of the draws.
         explicit: ids that PHASE drives whatever else is said.
         deterministic: meet the share exactly by counting vehicles instead of drawing.
+        time_gap: s to the leader that target speeds leave, 0 to take no heed of leaders; None is each
+            vType's tau.
     """
 
     share: float | None = None
@@ -45,11 +48,14 @@ class Choice:
     seed: int = 0
     explicit: tuple[str, ...] = ()
     deterministic: bool = False
+    time_gap: float | None = None
 
     def __post_init__(self) -> None:
         low, high = self.alpha_bounds
         if not 0.1 <= low <= high <= 1.0:
             raise PhaseError(f"alpha {low:g}..{high:g} is not within 0.1..1")
+        if self.time_gap is not None and not TIME_GAPS[0] <= self.time_gap <= TIME_GAPS[1]:
+            raise PhaseError(f"time gap {self.time_gap:g} s is not within {TIME_GAPS[0]:g}..{TIME_GAPS[1]:g}")
         if not 0.0 <= self.probability <= 1.0:
             raise PhaseError(f"share {self.probability:g} is not between 0 and 1")
 

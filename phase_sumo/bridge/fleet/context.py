@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from phase_sumo.bridge.fleet.choice import Marks
+from phase_sumo.bridge.fleet.choice import TIME_GAPS, Marks
 from phase_sumo.bridge.sumo.conventions import Kind, ShapeRow, vehicle_kind, vehicle_shape
 from phase_sumo.errors import PhaseError
 
@@ -39,11 +39,13 @@ class Context:
     Attributes:
         alpha: longitudinal action range.
         target_speed: m/s.
+        time_gap: s to the leader that the target speed leaves, 0 to take no heed of leaders.
         policy: file.
     """
 
     alpha: float | None
     target_speed: float | None
+    time_gap: float | None
     policy: str | None
 
 
@@ -68,6 +70,7 @@ class Parameters:
         return Context(
             alpha=self.number("phase.alpha", (0.1, 1.0)),
             target_speed=self.number("phase.target_speed", TARGET_SPEEDS),
+            time_gap=self.number("phase.time_gap", TIME_GAPS),
             policy=self._text("phase.policy") or None,
         )
 

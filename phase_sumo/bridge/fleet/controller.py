@@ -10,9 +10,11 @@ from torch import Tensor
 
 from phase_sumo.bridge.fleet.drivers import Driver, Drivers
 from phase_sumo.bridge.fleet.goals import GoalPlanner
+from phase_sumo.bridge.fleet.member import Member
+from phase_sumo.bridge.fleet.occupancy import Occupancy
 from phase_sumo.bridge.fleet.road import Road
-from phase_sumo.bridge.fleet.route import RouteLanes
 from phase_sumo.bridge.fleet.table import VehicleTable
+from phase_sumo.bridge.fleet.target_speed import TargetSpeeds
 from phase_sumo.config import SimConfig
 from phase_sumo.sim import kinematics
 from phase_sumo.sim.near import pairs_within, ranges
@@ -30,15 +32,16 @@ class Controller:
         cpu, decisions: CPU seconds spent on observing, deciding and moving, and vehicle steps decided.
     """
 
-    def __init__(self, road: Road, table: VehicleTable, drivers: Drivers, planner: GoalPlanner) -> None:
-        self._road, self._table, self._drivers, self._planner = road, table, drivers, planner
+    def __init__(
+        self, road: Road, table: VehicleTable, drivers: Drivers, speeds: TargetSpeeds, planner: GoalPlanner
+    ) -> None:
+        self._road, self._table, self._drivers = road, table, drivers
+        self._speeds, self._planner = speeds, planner
         self._map_index = torch.zeros(1, dtype=torch.long)
         self.cpu = 0.0
         self.decisions = 0
 
-    def drive(
-        self, time: float, substeps: int, node: np.ndarray, routes: dict[str, RouteLanes]
-    ) -> np.ndarray:
+    def drive(self, time: float, substeps: int, node: np.ndarray, members: dict[str, Member]) -> np.ndarray:
         """Move the controlled rows on by ``substeps`` steps.
 
         SUMO's vehicles run on at constant speed between two of SUMO's steps; the table holds their pose of
@@ -52,12 +55,16 @@ class Controller:
         """
         table, dt = self._table, self._drivers.dt
         others = np.flatnonzero(table.active & ~table.controlled)
+        routes = {vehicle: member.route for vehicle, member in members.items()}
         before = {name: table[name][others].copy() for name in ("x", "y")}
         for k in range(substeps):
             rows = np.flatnonzero(table.controlled)
             if not len(rows):
                 break
-            self._planner.update(time + k * dt, node, routes)
+            occupancy = Occupancy(self._road, table, node)
+            if k:  # those of the first step were set when SUMO's was followed
+                self._speeds.update(node, self._planner.beside(node), occupancy, members)
+            self._planner.update(time + k * dt, node, occupancy, routes)
             self._step(rows)
             node = self.track(node, rows)
             if k + 1 < substeps:

@@ -31,7 +31,7 @@ def lane_speeds(graph: LaneGraph, sideways: float) -> FloatArray:
     Returns:
         [V] m/s, up to `FASTEST`.
     """
-    speed = np.minimum(np.sqrt(sideways / np.maximum(_curvature(graph), 1e-6)), FASTEST)
+    speed = np.minimum(np.sqrt(sideways / np.maximum(curvature(graph), 1e-6)), FASTEST)
     node = np.arange(len(speed))
     following = np.minimum(node + 1, graph.lane_end)  # a lane's nodes are numbered in driving direction
     gap = np.hypot(*(graph.node_xy[node] - graph.node_xy[following]).astype(np.float64).T)
@@ -62,7 +62,7 @@ def exit_speeds(first: FloatArray, metres: FloatArray, onward: IntArray) -> Floa
         speed = slowed
 
 
-def _curvature(graph: LaneGraph) -> FloatArray:
+def curvature(graph: LaneGraph) -> FloatArray:
     """[V] |turn| in 1/m between the nodes `WINDOW` m before and behind, or as far as the road goes."""
     ahead = graph.successor[:, 0].astype(np.int64)
     behind = np.full(len(ahead), -1)

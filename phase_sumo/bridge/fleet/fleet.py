@@ -10,16 +10,15 @@ import torch
 
 from phase_sumo.bridge.fleet.adoption import Adoption
 from phase_sumo.bridge.fleet.choice import Choice
-from phase_sumo.bridge.fleet.context import TARGET_SPEEDS
 from phase_sumo.bridge.fleet.controller import Controller
 from phase_sumo.bridge.fleet.drivers import Drivers
 from phase_sumo.bridge.fleet.goals import GoalPlanner
 from phase_sumo.bridge.fleet.member import Member
+from phase_sumo.bridge.fleet.occupancy import Occupancy
 from phase_sumo.bridge.fleet.pose import PoseWriter
 from phase_sumo.bridge.fleet.road import BoolArray, FloatArray, IntArray, Road
 from phase_sumo.bridge.fleet.route import (
     RouteLanes,
-    curve_speed,
     follow_lanes,
     kept_stretch,
     remaining,
@@ -27,6 +26,7 @@ from phase_sumo.bridge.fleet.route import (
 )
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.fleet.speed_limits import SpeedLimits
+from phase_sumo.bridge.fleet.target_speed import TargetSpeeds
 from phase_sumo.bridge.sumo.session import bare
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.events import road_contacts
@@ -61,7 +61,9 @@ class Fleet:
         calibrator = self._api.calibrator
         self._road.edges -= {calibrator.getEdgeID(name) for name in calibrator.getIDList()}
         self._planner = GoalPlanner(self._road, scene.table)
-        self._controller = Controller(self._road, scene.table, drivers, self._planner)
+        self._limits = SpeedLimits(self._api, network)
+        self._speeds = TargetSpeeds(self._road, scene.table, self._limits.values)
+        self._controller = Controller(self._road, scene.table, drivers, self._speeds, self._planner)
         self._members: dict[str, Member] = {}
         self._released: set[str] = set()
         self._node = np.full(len(scene.table), -1, np.int64)
@@ -70,7 +72,6 @@ class Fleet:
         self._adoption = Adoption(scene, self._road, choice, drivers, self._lanes)
         self._writer = PoseWriter(self._api, self._road, scene.table)
         self._lane_id = bare(self._api, "vehicle", "getLaneID")
-        self._limits = SpeedLimits(self._api, network)
         self._substeps = 1
         self._publish_hitch = publish_hitch
 
@@ -117,7 +118,7 @@ class Fleet:
             self._adoption.read_context(vehicle, self._table.row_of[vehicle], member)
 
     def follow_sumo(self, time: float) -> None:
-        """After SUMO's step: take over, give back, watch the road edge."""
+        """After SUMO's step: take over, give back, set target speeds, watch the road edge."""
         for vehicle in set(self._members) - set(self._scene.facts):
             self._drop(vehicle)
         self._adoption.forget_absent()
@@ -128,14 +129,15 @@ class Fleet:
             self._hand_back(vehicle, self._members[vehicle], "released")
         self._released.clear()
         self._check(time)
+        occupancy = Occupancy(self._road, self._table, self._node)
+        self._speeds.update(self._node, self._planner.beside(self._node), occupancy, self._members)
         self._watch_road_edge(time)
 
     def drive(self, time: float) -> None:
         """Move the vehicles and tell SUMO where they will be after its next step."""
-        routes = {vehicle: member.route for vehicle, member in self._members.items()}
         before, table = self._node, self._table
         x, y = table["x"].copy(), table["y"].copy()
-        self._node = self._controller.drive(time, self._substeps, before, routes)
+        self._node = self._controller.drive(time, self._substeps, before, self._members)
         metres = np.hypot(table["x"] - x, table["y"] - y)
         front_x, front_y = table.front
         for vehicle, past in zip(list(self._members), self._past_end(before, front_x, front_y), strict=True):
@@ -180,12 +182,10 @@ class Fleet:
             self._members[vehicle] = member
 
     def _check(self, time: float) -> None:
-        """Keep the target speeds current; give back, reroute or take out where needed."""
+        """Give back, reroute or take out where needed."""
         members, rows = list(self._members.items()), self._rows()
         on_route = self._on_route([member for _, member in members], rows)
         node = self._node[rows]
-        kept = np.flatnonzero(on_route)
-        self._set_target_speeds([members[k][1] for k in kept], rows[kept], node[kept])
         lane_id = self._lane_id
         for (vehicle, member), on, at in zip(members, on_route.tolist(), node.tolist(), strict=True):
             if not lane_id(vehicle):
@@ -257,17 +257,6 @@ class Fleet:
                 del self._routes[next(iter(self._routes))]  # the oldest
             self._routes[key] = route_lanes(self._road, edges, truck)
         return self._routes[key]
-
-    def _set_target_speeds(self, members: list[Member], rows: IntArray, node: IntArray) -> None:
-        """What the driver wants, or less where a curve ahead asks for it."""
-        road, lane = self._road, self._road.graph.node_lane[node]
-        factor = np.array([m.speed_factor for m in members])
-        highest = np.array([m.max_speed for m in members])
-        wanted = np.array([m.target_speed or 0.0 for m in members])
-        speed = np.where(wanted > 0, wanted, np.minimum(self._limits.values[lane] * factor, highest))
-        leave = np.array([m.route.exit_speed[k] for m, k in zip(members, lane, strict=True)])
-        slowest = np.minimum(speed, curve_speed(road, leave, node, self._table["truck"][rows]))
-        self._table["goal_speed"][rows] = np.clip(slowest, *TARGET_SPEEDS)
 
     def _past_end(self, node: IntArray, front_x: FloatArray, front_y: FloatArray) -> list[bool]:
         """Whether each member's new pose is past the end of the last lane of its route.

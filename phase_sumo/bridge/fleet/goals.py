@@ -40,7 +40,7 @@ class GoalPlanner:
         self._road = road
         self._table = table
         self._review: dict[str, float] = {}
-        self._changing: dict[str, tuple[int, float]] = {}  # lane being left, time until which to persist
+        self._changing: dict[str, tuple[int, int, float]] = {}  # lane being left, side, until when
         self._rested: dict[str, float] = {}
         self._wished: dict[str, tuple[int, float]] = {}  # side, and since when
         self.changes_wanted = 0
@@ -50,7 +50,22 @@ class GoalPlanner:
         for memory in (self._review, self._changing, self._rested, self._wished):
             memory.pop(vehicle, None)
 
-    def update(self, time: float, node: np.ndarray, routes: dict[str, RouteLanes]) -> None:
+    def beside(self, node: IntArray) -> IntArray:
+        """[N] node abreast in the lane that each row changes to, -1 for none.
+
+        Args:
+            node: [N] node of each row's front bumper, -1 off the road.
+        """
+        graph, abreast = self._road.graph, np.full(len(node), -1)
+        for vehicle, (lane, side, _) in self._changing.items():
+            at = node[self._table.row_of[vehicle]]
+            if at >= 0 and graph.node_lane[at] == lane:
+                abreast[self._table.row_of[vehicle]] = (graph.left if side > 0 else graph.right)[at]
+        return abreast
+
+    def update(
+        self, time: float, node: IntArray, occupancy: Occupancy, routes: dict[str, RouteLanes]
+    ) -> None:
         """Refresh the goals that need it."""
         table = self._table
         rows = np.flatnonzero(table.controlled & (node >= 0))
@@ -75,23 +90,28 @@ class GoalPlanner:
                 fresh[k] = True
             asking.append(k)
         if asking:
-            self._ask(time, rows[asking], fresh[asking], node, [routes[vehicles[k]] for k in asking])
+            own = [routes[vehicles[k]] for k in asking]
+            self._ask(time, rows[asking], fresh[asking], node[rows[asking]], occupancy, own)
 
     def _on_its_way(self, time: float, vehicle: str, node: int) -> bool:
-        lane, until = self._changing[vehicle]
+        lane, _, until = self._changing[vehicle]
         return lane == self._road.graph.node_lane[node] and time < until
 
     def _ask(
-        self, time: float, rows: IntArray, fresh: BoolArray, node: IntArray, routes: list[RouteLanes]
+        self,
+        time: float,
+        rows: IntArray,
+        fresh: BoolArray,
+        at: IntArray,
+        occupancy: Occupancy,
+        routes: list[RouteLanes],
     ) -> None:
         """Choose lanes; set the goals of those that change, are out of line or need one (``fresh``)."""
         road, table, graph = self._road, self._table, self._road.graph
-        at, vehicles = node[rows], [table.ids[row] for row in rows.tolist()]
+        vehicles = [table.ids[row] for row in rows.tolist()]
         stray = self._stray(rows, at)
         resting = np.array([time < self._rested.get(vehicle, -np.inf) for vehicle in vehicles])
-        side, needed = tactics.sides(
-            road, table, Occupancy(road, table, node), rows, at, routes, stray | resting
-        )
+        side, needed = tactics.sides(road, table, occupancy, rows, at, routes, stray | resting)
         lasting = np.array([self._lasts(time, *wish) for wish in zip(vehicles, side.tolist(), strict=True)])
         side = np.where(needed | lasting, side, 0)
         beside = np.where(side > 0, graph.left[at], np.where(side < 0, graph.right[at], -1))
@@ -103,7 +123,7 @@ class GoalPlanner:
                 lane = int(graph.node_lane[here])
                 length = min(length, self._change_length(row, here, lane, routes[k]))
                 self.changes_wanted += 1
-                self._changing[vehicles[k]] = (lane, time + GOAL_TIME)
+                self._changing[vehicles[k]] = (lane, int(side[k]), time + GOAL_TIME)
                 here = int(beside[k])
             self._set(row, self._place(row, routes[k], here, length, bool(stray[k]) and not changing[k]))
 

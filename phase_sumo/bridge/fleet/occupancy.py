@@ -24,6 +24,14 @@ class Occupancy:
         self._node = node[self._row]
         self._lane = road.graph.node_lane[self._node]
 
+    def between(self, node: IntArray) -> IntArray:
+        """[n] how many vehicles come before each node in the order of nodes, see `at`."""
+        return np.searchsorted(self._node, node)
+
+    def at(self, places: slice) -> tuple[list[int], list[int]]:
+        """Rows and nodes of vehicles by their places in that order."""
+        return self._row[places].tolist(), self._node[places].tolist()
+
     def leaders(
         self, node: IntArray, rows: IntArray, routes: Sequence[RouteLanes], reach: FloatArray
     ) -> tuple[IntArray, FloatArray]:
@@ -44,9 +52,13 @@ class Occupancy:
         same = (at < len(self._row)) & (self._lane[there] == lane)
         found = np.where(same, self._row[there], -1)
         gap = np.where(same, self._node[there] - node - self.length[self._row[there]], np.inf)
-        for k in np.flatnonzero(~same).tolist():
-            travelled = float(self._road.metres[lane[k]] - self._road.offset(node[k]))
-            found[k], gap[k] = self._further(int(lane[k]), routes[k], travelled, int(rows[k]), reach[k])
+        beyond = np.flatnonzero(~same)
+        if len(beyond):
+            passed = (node[beyond] - self._road.first[lane[beyond]]).astype(np.float64)
+            travelled = self._road.metres[lane[beyond]] - passed
+            found[beyond], gap[beyond] = self._further(
+                lane[beyond], [routes[k] for k in beyond.tolist()], travelled, rows[beyond], reach[beyond]
+            )
         near = gap < reach
         return np.where(near, found, -1), np.where(near, gap, np.inf)
 
@@ -68,17 +80,31 @@ class Occupancy:
         return ((at < len(self._row)) & (self._row[inside] == rows)).astype(np.int64)
 
     def _further(
-        self, lane: int, route: RouteLanes, travelled: float, row: int, reach: float
-    ) -> tuple[int, float]:
-        """The first vehicle on the lanes after this one, whose start is ``travelled`` m away."""
-        while travelled < reach and (lane := int(route.onward[lane])) >= 0:
-            first = self._road.first[lane]
-            at = int(np.searchsorted(self._node, first))
-            if at < len(self._row) and self._lane[at] == lane and self._row[at] != row:
-                gap = travelled + float(self._node[at] - first) - float(self.length[self._row[at]])
-                return int(self._row[at]), gap
-            travelled += float(self._road.metres[lane])
-        return -1, np.inf
+        self,
+        lane: IntArray,
+        routes: Sequence[RouteLanes],
+        travelled: FloatArray,
+        rows: IntArray,
+        reach: FloatArray,
+    ) -> tuple[IntArray, FloatArray]:
+        """The first vehicles on the lanes after these, whose starts are ``travelled`` m away, all [n]."""
+        found, gap = np.full(len(lane), -1), np.full(len(lane), np.inf)
+        k = np.flatnonzero(travelled < reach)
+        while len(k):
+            onward = [routes[i].onward[at] for i, at in zip(k.tolist(), lane[k].tolist(), strict=True)]
+            lane[k] = onward
+            k = k[lane[k] >= 0]
+            first = self._road.first[lane[k]]
+            at = np.minimum(np.searchsorted(self._node, first), len(self._row) - 1)
+            hit = (self._lane[at] == lane[k]) & (self._node[at] >= first) & (self._row[at] != rows[k])
+            found[k[hit]] = self._row[at[hit]]
+            gap[k[hit]] = (
+                travelled[k[hit]] + self._node[at[hit]] - first[hit] - self.length[self._row[at[hit]]]
+            )
+            k = k[~hit]
+            travelled[k] += self._road.metres[lane[k]]
+            k = k[travelled[k] < reach[k]]
+        return found, gap
 
     def _upstream(self, lane: int, base: float, row: int) -> tuple[int, float]:
         """The nearest last vehicle of the lanes before this one, whose start is ``base`` m behind."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_sumo.bridge.fleet.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, lane_speeds
+from phase_sumo.bridge.fleet.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, curvature, lane_speeds
 from phase_sumo.bridge.maps.road_lines import road_lines
 from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
@@ -17,6 +17,7 @@ BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 MATCH_RADIUS = 6.0  # m, farther from any lane centre is off the road
 MATCH_YAW = np.radians(75.0)
+TIGHTEST = 12.0  # m, radius of turns at crossings; ramps of motorways are wider
 OVERLAP = 2.0  # m between the centres of two lanes up to which a vehicle may be counted on either
 REMATCH = 2.6  # m from the tracked node, from where on the whole graph is searched
 YAW_COST = 4.0  # m per rad when nodes compete in a search of the whole graph
@@ -29,7 +30,8 @@ class Road:
         network, graph, map: lanes, lane graph, road map of them.
         first, count: [L] node range of each lane.
         metres: [L] geometric length.
-        edges: ids of the edges that PHASE may drive on, at first all whose lanes are kept.
+        edges: ids of the edges that PHASE may drive on, at first all whose lanes are kept and nowhere turn in
+            less than `TIGHTEST`.
         following, preceding: lanes after and before each lane.
         curve_speed: [2, V] m/s for the curves ahead in the lane, of cars and of trucks.
     """
@@ -41,7 +43,9 @@ class Road:
         self.count = np.bincount(self.graph.node_lane, minlength=len(network.lanes))
         self.first = np.concatenate(([0], np.cumsum(self.count)[:-1]))
         self.metres = np.array([float(np.hypot(*np.diff(c.points, axis=0).T).sum()) for c in network.lanes])
+        tight = self.graph.node_lane[curvature(self.graph) > 1.0 / TIGHTEST]
         self.edges = frozenset(c.edge for c in network.lanes if not c.connector)
+        self.edges -= {network.lanes[i].edge for i in tight}
         self.following: list[list[int]] = [[] for _ in network.lanes]
         self.preceding: list[list[int]] = [[] for _ in network.lanes]
         for a, b in network.successors:

@@ -146,17 +146,21 @@ def ahead(road: Road, route: RouteLanes, node: int, distance: float) -> Place:
     return Place(x + beyond * np.cos(yaw), y + beyond * np.sin(yaw), yaw, lane)
 
 
-def curve_speed(road: Road, leave: FloatArray, node: IntArray, truck: BoolArray) -> FloatArray:
+def curve_speed(
+    road: Road, leave: FloatArray, node: IntArray, truck: BoolArray, lead: FloatArray
+) -> FloatArray:
     """[n] m/s at which nodes may be passed for the curves ahead.
 
     Args:
         leave: [n] `RouteLanes.exit_speed` of the nodes' lanes.
         truck: [n].
+        lead: [n] m by which the speed must be reached earlier.
     """
-    lane = road.graph.node_lane[node]
-    left = (road.first + road.count)[lane] - 1 - node  # nodes, which are about 1 m apart
-    within = road.curve_speed[truck.astype(np.int64), node]
-    return np.minimum(within, braked_to(leave, left.astype(np.float64)))
+    left = road.graph.lane_end[node] - node  # nodes, which are about 1 m apart
+    sooner = node + np.minimum(np.round(lead).astype(np.int64), left)
+    kind = truck.astype(np.int64)
+    within = np.minimum(road.curve_speed[kind, node], road.curve_speed[kind, sooner])
+    return np.minimum(within, braked_to(leave, np.maximum(left - lead, 0.0)))
 
 
 def path(road: Road, route: RouteLanes, node: int, length: float) -> IntArray:

@@ -24,6 +24,7 @@ class VehicleTable:
         row_of: id -> row.
         active, controlled: [N] bool; controlled rows are moved by the policy, the others by SUMO.
         driver: [N] number of the policy that moves a controlled row, see `Drivers`.
+        wanted_speed: [N] m/s that the driver of a controlled row would choose on a free road.
         arrays: name -> [N] (histories [N, 3]) values of `VehicleShape`, `VehicleState` and `Task`.
     """
 
@@ -33,6 +34,7 @@ class VehicleTable:
         self.active = np.zeros(0, bool)
         self.controlled = np.zeros(0, bool)
         self.driver = np.zeros(0, np.int64)
+        self.wanted_speed = np.zeros(0)
         self.arrays: dict[str, np.ndarray] = {}
         for name in (*SHAPE, *STATE, *TASK):
             kind = bool if name == "truck" else np.float32
@@ -59,6 +61,7 @@ class VehicleTable:
         extra = np.zeros(capacity - old, bool)
         self.active, self.controlled = np.r_[self.active, extra], np.r_[self.controlled, extra]
         self.driver = np.r_[self.driver, np.zeros(capacity - old, np.int64)]
+        self.wanted_speed = np.r_[self.wanted_speed, np.zeros(capacity - old)]
         self.ids += [""] * (capacity - old)
         self._free += range(capacity - 1, old - 1, -1)
 

@@ -47,7 +47,7 @@ def sides(
         np.array([getattr(route, name)[k] for route, k in zip(routes, lane.tolist(), strict=True)])
         for name in ("changes", "room", "side")
     )
-    stretch = np.maximum(CHANGE_TIME * table["goal_speed"][rows].astype(np.float64), CHANGE_ROOM)
+    stretch = np.maximum(CHANGE_TIME * table.wanted_speed[rows], CHANGE_ROOM)
     must = (needed > 0) & np.isfinite(needed) & (room - (node - road.first[lane]) < needed * stretch)
     chosen = np.where(must, side, 0)
     ask = np.flatnonzero(~must & ~bound)
@@ -75,7 +75,7 @@ class _Scene:
         self._rows, self._node = rows, node
         self._speed = np.maximum(table["speed"].astype(np.float64), 0.0)
         # SUMO's vehicles are taken to drive as fast as they want
-        self._target = np.where(table.controlled, table["goal_speed"], np.maximum(self._speed, 1.0))
+        self._target = np.where(table.controlled, table.wanted_speed, np.maximum(self._speed, 1.0))
         self._reach = LOOK_TIME * self._target[rows]
         self._leader, self._gap = occupancy.leaders(node, rows, routes, self._reach)
         follower, behind = occupancy.followers(node, rows)

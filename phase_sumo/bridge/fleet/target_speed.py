@@ -1,0 +1,100 @@
+"""Target speeds: what the driver wants on a free road, and what slower traffic ahead leaves of it.
+
+The wanted speed is the vehicle's own target speed or its speed factor times the lane's limit, less where a
+curve ahead asks for it (`curve_speed`). The policy is told that speed, or less behind a leader of speed v_l:
+
+    d = s0 + T v_l
+    v = v_l + sqrt(2 b (s - d))                   for a gap s >= d
+    v = v_l - min((d - s) / tau, SLOWEST_BACK)    for s < d
+
+from where closing up with b takes just the room beyond the desired gap d, and a gap that is too short opens
+within some tau. T and s0 are the vType's tau and minGap, or ``phase.time_gap``; T = 0 turns this off. A
+vehicle that changes lanes heeds the leaders of both lanes, and one before a merge the vehicle that will be
+there first (`merging`). Not in the paper: its policy alone keeps too short
+gaps at freeway speeds (README, "Driving with traffic").
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from phase_sumo.bridge.fleet.context import TARGET_SPEEDS
+from phase_sumo.bridge.fleet.member import Member
+from phase_sumo.bridge.fleet.merging import Merging
+from phase_sumo.bridge.fleet.occupancy import Occupancy
+from phase_sumo.bridge.fleet.road import FloatArray, IntArray, Road
+from phase_sumo.bridge.fleet.route import curve_speed
+from phase_sumo.bridge.fleet.table import VehicleTable
+
+CLOSING_UP = 1.0  # m/s^2, b
+OPENING = 5.0  # s, tau
+SLOWEST_BACK = 3.0  # m/s below the leader at most
+LAG = 1.5  # s by which the policy is behind a target speed that falls towards a curve
+LOOK = 150.0  # m, the policy's own range
+
+
+class TargetSpeeds:
+    """Sets the wanted and the target speed of every PHASE vehicle."""
+
+    def __init__(self, road: Road, table: VehicleTable, limits: FloatArray) -> None:
+        """``limits`` [L] m/s are the lanes' speed limits, kept current by their owner."""
+        self._road, self._table, self._limits = road, table, limits
+        self._merging = Merging(road, table)
+
+    def update(
+        self, node: IntArray, beside: IntArray, occupancy: Occupancy, members: dict[str, Member]
+    ) -> None:
+        """For the vehicles that are on a lane of their route; others keep what they had.
+
+        Args:
+            node: [N] node of each row's front bumper, -1 off the road.
+            beside: [N] node abreast in the lane that a row changes to, -1 for none.
+        """
+        table = self._table
+        row_of, lane_of = table.row_of, self._road.graph.node_lane
+        on_route = [
+            (row, member)
+            for row, member in ((row_of[vehicle], member) for vehicle, member in members.items())
+            if node[row] >= 0 and member.route.changes[lane_of[node[row]]] < np.inf
+        ]
+        if not on_route:
+            return
+        rows, own = np.array([row for row, _ in on_route]), [member for _, member in on_route]
+        wanted = np.clip(self._wanted(own, rows, node[rows]), *TARGET_SPEEDS)
+        table.wanted_speed[rows] = wanted
+        table["goal_speed"][rows] = wanted
+        gaps = np.zeros((2, len(table)))  # s and m, 0 for those who take no heed
+        gaps[:, rows] = np.array([(member.time_gap, member.min_gap) for member in own]).T
+        for at in (node[rows], beside[rows]):
+            k = np.flatnonzero(at >= 0)
+            routes = [own[i].route for i in k.tolist()]
+            if len(k):
+                self._follow(gaps, rows[k], *occupancy.leaders(at[k], rows[k], routes, np.full(len(k), LOOK)))
+        self._follow(gaps, *self._merging.pairs(occupancy, members))
+
+    def _follow(self, gaps: FloatArray, rows: IntArray, leader: IntArray, gap: FloatArray) -> None:
+        """Lower the target speeds of rows [n] behind leaders [n], -1 for none, with gaps [n] in m.
+
+        Args:
+            gaps: [2, N] desired time gaps in s and gaps at standstill in m.
+        """
+        k = np.flatnonzero((leader >= 0) & (gaps[0, rows] > 0))
+        rows, speed = rows[k], self._table["speed"][leader[k]].astype(np.float64)
+        time_gap, least = gaps[:, rows]
+        room = gap[k] - least - time_gap * speed
+        closing = np.sqrt(2.0 * CLOSING_UP * np.maximum(room, 0.0))
+        behind = speed + np.where(room >= 0, closing, np.maximum(room / OPENING, -SLOWEST_BACK))
+        target = self._table["goal_speed"]
+        target[rows] = np.clip(behind, TARGET_SPEEDS[0], target[rows])
+
+    def _wanted(self, members: list[Member], rows: IntArray, node: IntArray) -> FloatArray:
+        """[n] m/s on a free road."""
+        lane = self._road.graph.node_lane[node]
+        factor, highest, own = (
+            np.array([getattr(m, name) for m in members])
+            for name in ("speed_factor", "max_speed", "target_speed")
+        )
+        speed = np.where(own > 0, own, np.minimum(self._limits[lane] * factor, highest))
+        leave = np.array([m.route.exit_speed[k] for m, k in zip(members, lane.tolist(), strict=True)])
+        truck, lead = self._table["truck"][rows], LAG * self._table["speed"][rows].astype(np.float64)
+        return np.minimum(speed, curve_speed(self._road, leave, node, truck, lead))
