@@ -33,7 +33,7 @@ from phase_sumo.sim.events import road_contacts
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.vehicles import boxes
 
-HAND_BACK_ROOM = 100.0  # m before the end of the observed road at which SUMO takes over again
+HAND_BACK_TIME, HAND_BACK_ROOM = 3.5, 30.0  # s, at least m, before the observed road's end: SUMO takes over
 KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer to a lane
 OFF_ROAD_SECONDS = 4.0  # s without a lane after which a vehicle is taken out
 EDGE_CONTACT_APART = 1.0  # s without touching the road edge that end one contact
@@ -221,7 +221,7 @@ class Fleet:
         room = remaining(self._road, member.route, node)
         connector = self._road.network.lanes[int(self._road.graph.node_lane[node])].connector
         speed = self._table["speed"][self._table.row_of[vehicle]]
-        if member.leads_off and room < HAND_BACK_ROOM and not connector:
+        if member.leads_off and room < max(HAND_BACK_TIME * speed, HAND_BACK_ROOM) and not connector:
             self._hand_back(vehicle, member, "the observed road ends")
         elif not member.edges and room < 2.0 + speed * self._scene.session.step_length:
             self._remove(vehicle, "wrong exit")
