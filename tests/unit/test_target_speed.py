@@ -11,9 +11,9 @@ from phase_sumo.bridge.fleet.occupancy import Occupancy
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import route_lanes
 from phase_sumo.bridge.fleet.table import VehicleTable
-from phase_sumo.bridge.fleet.target_speed import CLOSING_UP, OPENING, SLOWEST_BACK, TargetSpeeds
+from phase_sumo.bridge.fleet.target_speed import CLOSING_UP, OTHER_LANE, OWN_LANE, TargetSpeeds
 from phase_sumo.sim.lanes import LaneNetwork
-from tests.toy_motorway import W, lane, nodes, plan, put
+from tests.toy_motorway import W, lane, nodes, put
 
 LIMIT, T, S0, LENGTH = 30.0, 1.2, 2.5, 5.0
 
@@ -57,7 +57,7 @@ def behind(road: Road, gap: float, leader: float, time_gap: float = T) -> float:
 )
 def test_behind_a_leader(road, gap, leader):
     room = gap - (S0 + T * leader)
-    offset = np.sqrt(2.0 * CLOSING_UP * room) if room >= 0 else max(room / OPENING, -SLOWEST_BACK)
+    offset = np.sqrt(2.0 * CLOSING_UP * room) if room >= 0 else max(room / OWN_LANE[0], -OWN_LANE[1])
     expected = np.clip(leader + offset, 3.0, 28.0)
     slack = 1.0 * CLOSING_UP / np.sqrt(2.0 * CLOSING_UP * room) if room > 2 else 0.3  # a node is 1 m
     assert behind(road, gap, leader) == pytest.approx(expected, abs=slack + 0.1)
@@ -75,16 +75,14 @@ def test_what_is_wanted_is_kept_apart(road):
     assert traffic.table.wanted_speed[traffic.rows[0]] == 28.0
 
 
-def test_a_vehicle_that_changes_lanes_heeds_both_lanes(road):
-    scene = [("a", 100.0, 0.0, 20.0, 28.0), ("slow", 160.0, 0.0, 15.0), ("slower", 190.0, W, 12.0)]
-    traffic = Traffic(road, scene)
-    alone = traffic.update()[0]
-    for second in range(6):
-        plan(traffic.planner, float(second), traffic.table, road, {"a": traffic.members["a"].route})
-    assert alone == pytest.approx(behind(road, 55.0, 15.0))
-    traffic.planner._changing["a"] = (0, 1, 99.0)
-    beside = traffic.update()[0]
-    assert beside == pytest.approx(min(alone, behind(road, 85.0, 12.0)), abs=0.01)
+def test_a_vehicle_that_changes_lanes_heeds_both_lanes_the_new_one_gently(road):
+    for x, expected in ((190.0, behind(road, 85.0, 12.0)), (112.0, 12.0 - 9.9 / OTHER_LANE[0])):
+        scene = [("a", 100.0, 0.0, 20.0, 28.0), ("slow", 160.0, 0.0, 15.0), ("slower", x, W, 12.0)]
+        traffic = Traffic(road, scene)
+        alone = traffic.update()[0]
+        assert alone == pytest.approx(behind(road, 55.0, 15.0))
+        traffic.planner._changing["a"] = (0, 1, 99.0)
+        assert traffic.update()[0] == pytest.approx(min(alone, expected), abs=0.15)
 
 
 def test_those_who_reach_their_target_speed_at_once_come_to_the_desired_gap(road):

@@ -5,13 +5,14 @@ curve ahead asks for it (`curve_speed`). The policy is told that speed, or less 
 
     d = s0 + T v_l
     v = v_l + sqrt(2 b (s - d))                   for a gap s >= d
-    v = v_l - min((d - s) / tau, SLOWEST_BACK)    for s < d
+    v = v_l - min((d - s) / tau, v_back)          for s < d
 
 from where closing up with b takes just the room beyond the desired gap d, and a gap that is too short opens
-within some tau. T and s0 are the vType's tau and minGap, or ``phase.time_gap``; T = 0 turns this off. A
-vehicle that changes lanes heeds the leaders of both lanes, and one before a merge the vehicle that will be
-there first (`merging`). Not in the paper: its policy alone keeps too short
-gaps at freeway speeds (README, "Driving with traffic").
+within some tau, slowly behind leaders that are not in the own lane yet: two who give way to one another would
+stop. tau and v_back were chosen on the merge scenario and two real stretches. T and s0 are the vType's tau
+and minGap, or ``phase.time_gap``; T = 0 turns this off. A vehicle that changes lanes heeds the leaders of both
+lanes, and one before a merge the vehicle that will be there first (`merging`). Not in the paper: its policy
+alone keeps too short gaps at freeway speeds (README, "Driving with traffic").
 """
 
 from __future__ import annotations
@@ -27,8 +28,7 @@ from phase_sumo.bridge.fleet.route import curve_speed
 from phase_sumo.bridge.fleet.table import VehicleTable
 
 CLOSING_UP = 1.0  # m/s^2, b
-OPENING = 5.0  # s, tau
-SLOWEST_BACK = 3.0  # m/s below the leader at most
+OWN_LANE, OTHER_LANE = (7.0, 2.0), (10.0, 1.0)  # tau in s and v_back in m/s
 LAG = 1.5  # s by which the policy is behind a target speed that falls towards a curve
 LOOK = 150.0  # m, the policy's own range
 
@@ -65,25 +65,34 @@ class TargetSpeeds:
         table["goal_speed"][rows] = wanted
         gaps = np.zeros((2, len(table)))  # s and m, 0 for those who take no heed
         gaps[:, rows] = np.array([(member.time_gap, member.min_gap) for member in own]).T
-        for at in (node[rows], beside[rows]):
+        for at, opening in ((node[rows], OWN_LANE), (beside[rows], OTHER_LANE)):
             k = np.flatnonzero(at >= 0)
             routes = [own[i].route for i in k.tolist()]
             if len(k):
-                self._follow(gaps, rows[k], *occupancy.leaders(at[k], rows[k], routes, np.full(len(k), LOOK)))
-        self._follow(gaps, *self._merging.pairs(occupancy, members))
+                leader, gap = occupancy.leaders(at[k], rows[k], routes, np.full(len(k), LOOK))
+                self._follow(gaps, rows[k], leader, gap, opening)
+        self._follow(gaps, *self._merging.pairs(occupancy, members), OTHER_LANE)
 
-    def _follow(self, gaps: FloatArray, rows: IntArray, leader: IntArray, gap: FloatArray) -> None:
+    def _follow(
+        self,
+        gaps: FloatArray,
+        rows: IntArray,
+        leader: IntArray,
+        gap: FloatArray,
+        opening: tuple[float, float],
+    ) -> None:
         """Lower the target speeds of rows [n] behind leaders [n], -1 for none, with gaps [n] in m.
 
         Args:
             gaps: [2, N] desired time gaps in s and gaps at standstill in m.
+            opening: tau and v_back.
         """
         k = np.flatnonzero((leader >= 0) & (gaps[0, rows] > 0))
         rows, speed = rows[k], self._table["speed"][leader[k]].astype(np.float64)
         time_gap, least = gaps[:, rows]
         room = gap[k] - least - time_gap * speed
         closing = np.sqrt(2.0 * CLOSING_UP * np.maximum(room, 0.0))
-        behind = speed + np.where(room >= 0, closing, np.maximum(room / OPENING, -SLOWEST_BACK))
+        behind = speed + np.where(room >= 0, closing, np.maximum(room / opening[0], -opening[1]))
         target = self._table["goal_speed"]
         target[rows] = np.clip(behind, TARGET_SPEEDS[0], target[rows])
 
