@@ -10,9 +10,9 @@ curve ahead asks for it (`curve_speed`). The policy is told that speed, or less 
 from where closing up with b takes just the room beyond the desired gap d, and a gap that is too short opens
 within some tau, slowly behind leaders that are not in the own lane yet: two who give way to one another would
 stop. tau and v_back were chosen on the merge scenario and two real stretches. T and s0 are the vType's tau
-and minGap, or ``phase.time_gap``; T = 0 turns this off. A vehicle that changes lanes heeds the leaders of both
-lanes, and one before a merge the vehicle that will be there first (`merging`). Not in the paper: its policy
-alone keeps too short gaps at freeway speeds (README, "Driving with traffic").
+and minGap, or ``phase.time_gap``; T = 0 turns this off. A vehicle that changes lanes heeds the leaders of
+both lanes, and one before a merge the vehicle that will be there first (`merging`). Not in the paper: its
+policy alone keeps too short gaps at freeway speeds (README, "Driving with traffic").
 """
 
 from __future__ import annotations
