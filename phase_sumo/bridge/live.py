@@ -85,7 +85,6 @@ class PhaseFleet(StepListener):
             drivers = Drivers(common, Path(option("configuration-file")).parent)
             hitch = "phase.hitch" in option("fcd-output.params")
             self._fleet = Fleet(self.scene, network, drivers, self.choice, hitch)
-            self._fleet.check_step(self.simulation.step_length)
         self._start = self._last = self.simulation.time
         self._pending = self._closed = False
         self._waited = 0

@@ -13,6 +13,7 @@ from phase_sumo.bridge.fleet.controller import Controller
 from phase_sumo.bridge.fleet.fleet import Fleet
 from phase_sumo.bridge.fleet.goals import GoalPlanner
 from phase_sumo.bridge.fleet.road import Road
+from phase_sumo.bridge.fleet.road_edge import RoadEdgeMonitor
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.outputs.recorder import Recorder
 from phase_sumo.bridge.sumo.session import Simulation
@@ -24,14 +25,14 @@ PARTS: dict[str, tuple[Any, str]] = {
     "read": (Scene, "update"),
     "check": (Fleet, "follow_sumo"),
     "track": (Road, "track"),
-    "road_edge": (Fleet, "_watch_road_edge"),
+    "road_edge": (RoadEdgeMonitor, "update"),
     "contacts": (ContactMonitor, "update"),
     "record": (Recorder, "sample"),
     "goals": (GoalPlanner, "update"),
     "neighbours": (Controller, "_neighbours"),
     "observe": (controller, "observe"),
     "policy": (Policy, "act"),
-    "kinematics": (Controller, "_step"),
+    "kinematics": (Controller, "_move"),
     "write": (Fleet, "drive"),
 }
 

@@ -50,7 +50,7 @@ def balanced(result):
     return accounts.pop("inserted") == sum(accounts.values()) == result["vehicles"]
 
 
-@pytest.mark.parametrize("step", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("step", [pytest.param(0.05, marks=pytest.mark.slow), 0.1, 0.5, 1.0])
 def test_every_vehicle_is_accounted_for_at_every_step_length(scenario, tmp_path, step):
     out = tmp_path / "out"
     result = run_scenario(scenario(step), policy=Standin(), seed=1, output_dir=out)

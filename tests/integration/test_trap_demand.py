@@ -132,7 +132,8 @@ def test_simulations_need_not_begin_at_zero(tmp_path, begin):
 
 
 @pytest.mark.parametrize(
-    ("step", "remedy"), [(0.05, "--step-length 0.1"), (0.25, "--step-length 0.2"), (0.5, ""), (1.0, "")]
+    ("step", "remedy"),
+    [(0.02, ""), (0.03, "--step-length 0.025"), (0.25, "--step-length 0.2"), (0.5, ""), (1.0, "")],
 )
 def test_step_lengths(tmp_path, step, remedy):
     if remedy:

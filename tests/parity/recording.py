@@ -121,7 +121,6 @@ def record(
         monitor = ContactMonitor(scene.events)
         drivers = Drivers(Recorder(driver, scene.table, kept))
         fleet = Fleet(scene, network, drivers, choice or Choice(alpha=0.8))
-        fleet.check_step(session.step_length)
         while True:
             session.step()
             time = session.time

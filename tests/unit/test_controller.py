@@ -9,6 +9,7 @@ from phase_sumo.bridge.fleet.controller import SAME_WAY, Controller
 from phase_sumo.bridge.fleet.drivers import Drivers
 from phase_sumo.bridge.fleet.goals import GoalPlanner
 from phase_sumo.bridge.fleet.road import Road
+from phase_sumo.bridge.fleet.steps import Steps
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.bridge.fleet.target_speed import TargetSpeeds
 from phase_sumo.bridge.sumo.conventions import shape_from_type
@@ -32,7 +33,8 @@ def neighbours(road, x, y, yaw, controlled):
         table.controlled[row] = controlled[i]
     rows = np.flatnonzero(table.controlled)
     speeds = TargetSpeeds(road, table, np.full(len(road.count), 30.0))
-    controller = Controller(road, table, Drivers(Standin()), speeds, GoalPlanner(road, table))
+    steps = Steps.fit(0.1, 0.1)
+    controller = Controller(road, table, Drivers(Standin()), steps, speeds, GoalPlanner(road, table))
     index, mask = (t.numpy() for t in controller._neighbours(rows, Standin().sim))
     assert (np.diff(mask.astype(int), axis=1) <= 0).all()  # real ones come first
     return table, rows, [i[m].tolist() for i, m in zip(index, mask, strict=True)]

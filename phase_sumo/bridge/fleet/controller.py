@@ -1,8 +1,9 @@
-"""Drives the controlled rows of a table with the policy, one simulator step at a time."""
+"""Drives the controlled rows of a table with the policy, one move at a time."""
 
 from __future__ import annotations
 
 import time as clock
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -13,6 +14,7 @@ from phase_sumo.bridge.fleet.goals import GoalPlanner
 from phase_sumo.bridge.fleet.member import Member
 from phase_sumo.bridge.fleet.occupancy import Occupancy
 from phase_sumo.bridge.fleet.road import Road
+from phase_sumo.bridge.fleet.steps import Steps
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.bridge.fleet.target_speed import TargetSpeeds
 from phase_sumo.config import SimConfig
@@ -28,21 +30,32 @@ SAME_WAY = 0.5  # cosine of the heading difference up to which another vehicle i
 class Controller:
     """Observation, policy, kinematics: the same code as in training, on the table's memory.
 
+    A decision changes acceleration and steering angle at once, by j dt and d(steer)/dt dt with the policy's
+    dt, and the moves up to the next one hold them, as the simulator's one step of dt does. Vehicles thus end
+    n moves on the path of that step, with its speed, (1 - 1/n) a dt^2 / 2 behind. With jerk and steering rate
+    spread over the moves they would turn in up to dt/2 later than the policy was trained with.
+
     Attributes:
         cpu, decisions: CPU seconds spent on observing, deciding and moving, and vehicle steps decided.
     """
 
     def __init__(
-        self, road: Road, table: VehicleTable, drivers: Drivers, speeds: TargetSpeeds, planner: GoalPlanner
+        self,
+        road: Road,
+        table: VehicleTable,
+        drivers: Drivers,
+        steps: Steps,
+        speeds: TargetSpeeds,
+        planner: GoalPlanner,
     ) -> None:
-        self._road, self._table, self._drivers = road, table, drivers
+        self._road, self._table, self._drivers, self._steps = road, table, drivers, steps
         self._speeds, self._planner = speeds, planner
         self._map_index = torch.zeros(1, dtype=torch.long)
         self.cpu = 0.0
         self.decisions = 0
 
-    def drive(self, time: float, substeps: int, node: np.ndarray, members: dict[str, Member]) -> np.ndarray:
-        """Move the controlled rows on by ``substeps`` steps.
+    def drive(self, time: float, node: np.ndarray, members: dict[str, Member]) -> np.ndarray:
+        """Move the controlled rows on by one step of SUMO.
 
         SUMO's vehicles run on at constant speed between two of SUMO's steps; the table holds their pose of
         SUMO's clock again afterwards.
@@ -53,22 +66,25 @@ class Controller:
         Returns:
             [N] nodes after the move.
         """
-        table, dt = self._table, self._drivers.dt
+        table, steps = self._table, self._steps
         others = np.flatnonzero(table.active & ~table.controlled)
         routes = {vehicle: member.route for vehicle, member in members.items()}
         before = {name: table[name][others].copy() for name in ("x", "y")}
-        for k in range(substeps):
+        for k in range(steps.per_sumo_step):
             rows = np.flatnonzero(table.controlled)
             if not len(rows):
                 break
-            occupancy = Occupancy(self._road, table, node)
-            if k:  # those of the first step were set when SUMO's was followed
-                self._speeds.update(node, self._planner.beside(node), occupancy, members)
-            self._planner.update(time + k * dt, node, occupancy, routes)
-            self._step(rows)
+            now = time + k * steps.seconds
+            decides = steps.decides(now)
+            if decides:
+                occupancy = Occupancy(self._road, table, node)
+                if k:  # those of the first move were set when SUMO's step was followed
+                    self._speeds.update(node, self._planner.beside(node), occupancy, members)
+                self._planner.update(now, node, occupancy, routes)
+            self._move(rows, decides)
             node = self.track(node, rows)
-            if k + 1 < substeps:
-                table.extrapolate(others, dt)
+            if k + 1 < steps.per_sumo_step:
+                table.extrapolate(others, steps.seconds)
         for name, values in before.items():
             table[name][others] = values
         return node
@@ -81,20 +97,24 @@ class Controller:
         return node
 
     @torch.no_grad()
-    def _step(self, rows: np.ndarray) -> None:
+    def _move(self, rows: np.ndarray, decides: bool) -> None:
         begin = clock.process_time()
         table = self._table
-        every = appearance(table.shape(), table.state())
         by = table.driver[rows]
         groups = [(rows[by == number], driver) for number, driver in enumerate(self._drivers)]
-        moved = [(own, self._next(own, driver, every)) for own, driver in groups if len(own)]
-        for own, state in moved:  # all have seen the same traffic
+        groups = [(own, driver) for own, driver in groups if len(own)]
+        if decides:
+            every = appearance(table.shape(), table.state())
+            moved = [self._next(own, driver, every) for own, driver in groups]
+            self.decisions += len(rows)
+        else:
+            moved = [self._hold(own, driver) for own, driver in groups]
+        for (own, _), state in zip(groups, moved, strict=True):  # all have seen the same traffic
             table.take(state, own)
         self.cpu += clock.process_time() - begin
-        self.decisions += len(rows)
 
     def _next(self, rows: np.ndarray, driver: Driver, every: Appearance) -> VehicleState:
-        """States [len(rows)] one policy step later, under one driver."""
+        """States [len(rows)] after a move that begins with a decision, under one driver."""
         table, driven = self._table, torch.from_numpy(rows)
 
         def own(values: Tensor) -> Tensor:
@@ -106,7 +126,23 @@ class Controller:
         cell = self._road.map.cell(self._map_index, state.x.unsqueeze(0), state.y.unsqueeze(0)).squeeze(0)
         seen = observe(shape, state, task, others, mask, self._road.map, cell, driver.sim)
         jerk, rate = kinematics.command(driver.act(seen), state, task.alpha, driver.actions, driver.sim.dt)
-        return kinematics.advance(shape, state, jerk, rate, driver.sim)
+        moves = self._steps.per_decision
+        return kinematics.advance(shape, state, moves * jerk, moves * rate, self._of_a_move(driver.sim))
+
+    def _hold(self, rows: np.ndarray, driver: Driver) -> VehicleState:
+        """States [len(rows)] after a move between two decisions, which the histories do not count."""
+        table, driven = self._table, torch.from_numpy(rows)
+
+        def own(values: Tensor) -> Tensor:
+            return values[0, driven]
+
+        shape, state = table.shape().map(own), table.state().map(own)
+        none = torch.zeros_like(state.speed)
+        moved = kinematics.advance(shape, state, none, none, self._of_a_move(driver.sim))
+        return replace(moved, accel_history=state.accel_history, steer_history=state.steer_history)
+
+    def _of_a_move(self, sim: SimConfig) -> SimConfig:
+        return replace(sim, dt=self._steps.seconds)
 
     def _neighbours(self, rows: np.ndarray, sim: SimConfig) -> tuple[Tensor, Tensor]:
         """As `neighbours.nearest`, for some rows, without traffic that runs in another direction.

@@ -6,7 +6,6 @@ import contextlib
 from typing import Any
 
 import numpy as np
-import torch
 
 from phase_sumo.bridge.fleet.adoption import Adoption
 from phase_sumo.bridge.fleet.choice import Choice
@@ -17,6 +16,7 @@ from phase_sumo.bridge.fleet.member import Member
 from phase_sumo.bridge.fleet.occupancy import Occupancy
 from phase_sumo.bridge.fleet.pose import PoseWriter
 from phase_sumo.bridge.fleet.road import BoolArray, FloatArray, IntArray, Road
+from phase_sumo.bridge.fleet.road_edge import RoadEdgeMonitor
 from phase_sumo.bridge.fleet.route import (
     RouteLanes,
     follow_lanes,
@@ -26,17 +26,14 @@ from phase_sumo.bridge.fleet.route import (
 )
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.fleet.speed_limits import SpeedLimits
+from phase_sumo.bridge.fleet.steps import Steps
 from phase_sumo.bridge.fleet.target_speed import TargetSpeeds
 from phase_sumo.bridge.sumo.session import bare
-from phase_sumo.errors import PhaseError
-from phase_sumo.sim.events import road_contacts
 from phase_sumo.sim.lanes import LaneNetwork
-from phase_sumo.sim.vehicles import boxes
 
 HAND_BACK_TIME, HAND_BACK_ROOM = 3.5, 30.0  # s, at least m, before the observed road's end: SUMO takes over
 KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer to a lane
 OFF_ROAD_SECONDS = 4.0  # s without a lane after which a vehicle is taken out
-EDGE_CONTACT_APART = 1.0  # s without touching the road edge that end one contact
 ROUTES_KEPT = 1000  # whose lanes are remembered for vehicles to come
 SUMO_SPEED_MODE, SUMO_LANE_MODE = 31, 1621  # SUMO's defaults
 VAPORIZED = 3
@@ -53,9 +50,13 @@ class Fleet:
         choice: Choice,
         publish_hitch: bool = False,
     ) -> None:
-        """``publish_hitch`` keeps the hitch angle in rad in each trailer's parameter ``phase.hitch``."""
+        """``publish_hitch`` keeps the hitch angle in rad in each trailer's parameter ``phase.hitch``.
+
+        Raises:
+            PhaseError: SUMO's step and the policy's do not fit into each other.
+        """
+        self._steps = Steps.fit(scene.session.step_length, drivers.dt)
         self._scene, self._table, self._api = scene, scene.table, scene.api
-        self._drivers = drivers
         self._road = Road(network)
         # SUMO crashes when a calibrator takes out a vehicle that was told to move: SUMO drives there
         calibrator = self._api.calibrator
@@ -63,16 +64,18 @@ class Fleet:
         self._planner = GoalPlanner(self._road, scene.table)
         self._limits = SpeedLimits(self._api, network)
         self._speeds = TargetSpeeds(self._road, scene.table, self._limits.values)
-        self._controller = Controller(self._road, scene.table, drivers, self._speeds, self._planner)
+        self._controller = Controller(
+            self._road, scene.table, drivers, self._steps, self._speeds, self._planner
+        )
         self._members: dict[str, Member] = {}
         self._released: set[str] = set()
         self._node = np.full(len(scene.table), -1, np.int64)
         self._routes: dict[tuple[tuple[str, ...], bool], RouteLanes] = {}
         self._follow = follow_lanes(self._road)
         self._adoption = Adoption(scene, self._road, choice, drivers, self._lanes)
+        self._edge = RoadEdgeMonitor(self._road, scene.table, scene.events)
         self._writer = PoseWriter(self._api, self._road, scene.table)
         self._lane_id = bare(self._api, "vehicle", "getLaneID")
-        self._substeps = 1
         self._publish_hitch = publish_hitch
 
     @property
@@ -90,16 +93,6 @@ class Fleet:
             "lane_change_goals": self._planner.changes_wanted,
             "decisions": self._controller.decisions,
         }
-
-    def check_step(self, step_length: float) -> None:
-        """SUMO's step must hold a whole number of ours."""
-        dt = self._drivers.dt
-        self._substeps = round(step_length / dt)
-        if self._substeps < 1 or abs(self._substeps * dt - step_length) > 1e-6:
-            raise PhaseError(
-                f"option step-length {step_length:g} s: PHASE moves in steps of {dt:g} s; "
-                f"pass -- --step-length {max(self._substeps, 1) * dt:g}"
-            )
 
     def take(self, vehicle: str) -> None:
         """Drive it from the next step on, or once its road is observed."""
@@ -124,20 +117,21 @@ class Fleet:
         self._adoption.forget_absent()
         self._limits.update(time)
         self._locate()
-        self._adopt()
+        fresh = self._adopt()
         for vehicle in [v for v in self._members if v in self._released]:
             self._hand_back(vehicle, self._members[vehicle], "released")
         self._released.clear()
         self._check(time)
-        occupancy = Occupancy(self._road, self._table, self._node)
-        self._speeds.update(self._node, self._planner.beside(self._node), occupancy, self._members)
-        self._watch_road_edge(time)
+        if fresh or self._steps.decides(time):  # nobody is ours without a target speed
+            occupancy = Occupancy(self._road, self._table, self._node)
+            self._speeds.update(self._node, self._planner.beside(self._node), occupancy, self._members)
+        self._edge.update(time, self._node, self._members)
 
     def drive(self, time: float) -> None:
         """Move the vehicles and tell SUMO where they will be after its next step."""
         before, table = self._node, self._table
         x, y = table["x"].copy(), table["y"].copy()
-        self._node = self._controller.drive(time, self._substeps, before, self._members)
+        self._node = self._controller.drive(time, before, self._members)
         metres = np.hypot(table["x"] - x, table["y"] - y)
         front_x, front_y = table.front
         for vehicle, past in zip(list(self._members), self._past_end(before, front_x, front_y), strict=True):
@@ -156,7 +150,7 @@ class Fleet:
     def _count(self, rows: IntArray, metres: FloatArray) -> None:
         """Add the step, of ``metres`` [n] for each member, to the trips, and publish hitch angles."""
         table, trips = self._table, self._scene.trips
-        seconds = self._substeps * self._drivers.dt
+        seconds = self._scene.session.step_length
         for vehicle, driven in zip(self._members, metres.tolist(), strict=True):
             trip = trips[vehicle]
             trip.policy_seconds += seconds
@@ -177,9 +171,12 @@ class Fleet:
         if len(rows):
             self._node = self._controller.track(self._node, rows)
 
-    def _adopt(self) -> None:
+    def _adopt(self) -> bool:
+        """Whether there are new members."""
+        before = len(self._members)
         for vehicle, member in self._adoption.take_over(self._node, self._members):
             self._members[vehicle] = member
+        return len(self._members) > before
 
     def _check(self, time: float) -> None:
         """Give back, reroute or take out where needed."""
@@ -310,24 +307,3 @@ class Fleet:
         del self._members[vehicle]
         self._adoption.left_to_sumo.add(vehicle)
         self._planner.forget(vehicle)
-
-    def _watch_road_edge(self, time: float) -> None:
-        rows = np.flatnonzero(self._table.controlled)
-        if not len(rows):
-            return
-        towing = self._table["trailer_length"][rows] > 0
-        rows = np.r_[rows[towing], rows[~towing]]  # those with a second box to test come first
-
-        def own(values: torch.Tensor) -> torch.Tensor:
-            return values[:, torch.from_numpy(rows)]
-
-        box = boxes(self._table.shape().map(own), self._table.state().map(own))
-        touching, _ = road_contacts(box, self._road.map, torch.zeros(1, dtype=torch.long), int(towing.sum()))
-        for row in rows[touching[0].numpy()].tolist():
-            member = self._members[self._table.ids[row]]
-            if member.edge_event is None or time - member.edge_contact > EDGE_CONTACT_APART:
-                off = "off the road" if self._node[row] < 0 else "contact"
-                member.edge_event = self._scene.events.record("road edge", self._table.ids[row], off)
-                member.edge_begin = time
-            member.edge_contact = time
-            member.edge_event.seconds = round(time - member.edge_begin, 3)
