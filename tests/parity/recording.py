@@ -120,7 +120,7 @@ def record(
         scene = Scene(session, edges)
         monitor = ContactMonitor(scene.events)
         drivers = Drivers(Recorder(driver, scene.table, kept))
-        fleet = Fleet(scene, network, drivers, choice or Choice(alpha=0.8))
+        fleet = Fleet(scene, network, drivers, choice or Choice(alpha=0.8, time_gap=0.0))
         while True:
             session.step()
             time = session.time

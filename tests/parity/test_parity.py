@@ -27,7 +27,7 @@ from tests.standin import Standin
 def test_observations_and_next_states(tmp_path, road, step):
     """Sub-steps of a long SUMO step included; vehicles that SUMO drives are copied from there."""
     network, driver = read_network(NETWORKS / f"{road}.net.xml"), Standin()
-    kept = record(write_scenario(tmp_path, road, SCENE, step), network, driver, until=8.0)
+    kept = record(write_scenario(tmp_path, road, SCENE, step), network, driver, until=12.0)
     start = check_start(kept)
     replay = Replay(network, kept, start, driver.sim)
     sumo_after = {s.decisions: s for s in kept.steps}
@@ -99,7 +99,7 @@ def test_collisions_and_road_edges(tmp_path, monkeypatch):
     monkeypatch.setattr(adoption, "TOO_FAST", np.inf)  # reckless ones are meant to be PHASE's from the start
     network, driver = read_network(NETWORKS / "f12_scurve2.net.xml"), Standin(reckless=True)
     cfg = write_scenario(tmp_path, "f12_scurve2", RECKLESS_SCENE)
-    kept = record(cfg, network, driver, until=7.0, choice=Choice(alpha=0.8))
+    kept = record(cfg, network, driver, until=7.0, choice=Choice(alpha=0.8, time_gap=0.0))
     replay = Replay(network, kept, check_start(kept), driver.sim)
     sumo_after = {s.decisions: s for s in kept.steps}
     collided: set[str] = set()
