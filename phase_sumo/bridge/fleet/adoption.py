@@ -16,6 +16,7 @@ from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.errors import PhaseError
 
 ADOPT_ROOM = 150.0  # m of observed road ahead below which a vehicle is left to SUMO
+ALIGNED = 0.1  # rad that a vehicle's heading may differ from its lane's: SUMO's turn off as fast as they like
 TOO_FAST = 4.0  # m/s above what the curves ahead allow with gentle braking
 SPEED_MODE, LANE_MODE = 96, 0  # SUMO checks nothing while we drive
 
@@ -83,6 +84,9 @@ class Adoption:
             return None  # on a route that uses an edge twice, SUMO finds moved vehicles on the first lap
         lanes = self._lanes(edges, truck)
         row, here = self._table.row_of[vehicle], np.array([node])
+        turn = float(self._table["yaw"][row] - self._road.graph.node_yaw[node])
+        if np.cos(turn) < np.cos(ALIGNED):
+            return None
         leave = lanes.exit_speed[self._road.graph.node_lane[here]]
         truck_here = self._table["truck"][row : row + 1]
         fastest = curve_speed(self._road, leave, here, truck_here, np.zeros(1))
