@@ -65,8 +65,9 @@ def test_bad_arguments_get_one_line(words, message, tmp_path, capsys):
 def test_an_encoder_that_has_seen_all_is_refused(log, tmp_path, monkeypatch):
     monkeypatch.setattr(command, "TRAINING_STEPS", 2)
     monkeypatch.setattr(command, "roll_out_all", lambda *_: pytest.fail("nothing is left to roll out"))
-    each = [[recording] for recording in command.open_source(log)]  # a source each: both are learnt from
-    both = command.select([iter(r) for r in each], None, 5.0, 1, lambda _: None)
+    (source,) = command.open_sources([log])
+    each = [iter([recording]) for recording in source]  # a source each: both are learnt from
+    both = command.select(each, None, 5.0, 1, lambda _: None)
     command._train(both, 5.0, 0, lambda *_: None).save(tmp_path / "e.safetensors")
     with pytest.raises(PhaseError, match="trained on all of these"):
         command.realism([log], ["idm"], tmp_path, encoder=tmp_path / "e.safetensors", policy=Standin())

@@ -13,7 +13,7 @@ from phase_sumo.bridge.maps.road_lines import road_lines
 from phase_sumo.bridge.rollout.batch import roll_out_all
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.logs.recording import Recording, Window
-from phase_sumo.evaluate.logs.sources import open_source
+from phase_sumo.evaluate.logs.sources import open_sources
 from phase_sumo.evaluate.logs.windows import windows
 from phase_sumo.evaluate.scene_scores import Scores, score, table
 from phase_sumo.evaluate.zero_shot import (
@@ -64,7 +64,7 @@ def evaluate_logs(
         PhaseError: a source cannot be read, or there is no window.
     """
     report = progress or (lambda share, text: None)
-    opened = [open_source(source, read_road) for source in sources]  # all, before the first is read
+    opened = open_sources(sources, read_road)
     chosen = _windows(chain.from_iterable(opened), all_windows, most, seed, report)
     networks = list({id(w.recording.network): w.recording.network for w in chosen}.values())
     parts = _scenes(chosen, networks, merge([_road_map(network) for network in networks]), seed)

@@ -16,7 +16,7 @@ from phase_sumo.bridge.rollout.batch import roll_out_all
 from phase_sumo.bridge.rollout.figure import cluster_figure
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.logs.recording import Recording
-from phase_sumo.evaluate.logs.sources import open_source
+from phase_sumo.evaluate.logs.sources import open_sources
 from phase_sumo.evaluate.realism import comparison as compare
 from phase_sumo.evaluate.realism.comparison import Comparison, Traffic
 from phase_sumo.evaluate.realism.encoder import Encoder, Training, train
@@ -84,7 +84,7 @@ def realism(
     report = progress or (lambda share, text: None)
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
-    opened = [open_source(source, read_road) for source in sources]  # all, before the first is read
+    opened = open_sources(sources, read_road)
     given = None if encoder is None else Encoder.load(encoder)
     seconds = given.training.seconds if given else seconds
     known = given.training.recordings if given else None

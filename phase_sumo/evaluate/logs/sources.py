@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from phase_sumo.errors import PhaseError
@@ -16,6 +18,22 @@ from phase_sumo.evaluate.logs.tracks import read_tracks
 
 # path of the log, path of a map or None, what reads maps or None
 Reader = Callable[[Path, "Path | None", "RoadReader | None"], Iterator[Recording]]
+
+
+def open_sources(texts: Sequence[str], road: RoadReader | None = None) -> list[Iterator[Recording]]:
+    """Every source by `open_source`, all before the first is read.
+
+    Recordings of two sources may have one name, as files in different folders do; the later one's source is
+    put before its own, since results are bootstrapped by recordings, and encoders know theirs, by name.
+    """
+    source_of: dict[str, int] = {}
+
+    def told_apart(source: int, recording: Recording) -> Recording:
+        if source_of.setdefault(recording.name, source) == source:
+            return recording
+        return replace(recording, name=f"{texts[source]}: {recording.name}")
+
+    return [map(partial(told_apart, k), open_source(text, road)) for k, text in enumerate(texts)]
 
 
 def open_source(text: str, road: RoadReader | None = None) -> Iterator[Recording]:

@@ -11,7 +11,7 @@ from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.bridge.maps.lanelet2 import read_road
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.logs.lane_places import lane_places
-from phase_sumo.evaluate.logs.sources import open_source
+from phase_sumo.evaluate.logs.sources import open_source, open_sources
 from phase_sumo.evaluate.logs.windows import windows
 from tests import log_files
 from tests.small_nets import SmallNet, lanes_from
@@ -41,6 +41,19 @@ def test_damaged_tracks(tmp_path, edit, message):
     path = _edited(log_files.write_tracks(tmp_path / "a.csv"), edit)
     with pytest.raises(PhaseError, match=message):
         list(open_source(f"tracks:{path}"))
+
+
+def test_recordings_of_one_name_are_told_apart_by_their_sources(tmp_path):
+    texts = []
+    for folder in ("monday", "tuesday"):
+        (tmp_path / folder).mkdir()
+        texts.append(f"tracks:{log_files.write_tracks(tmp_path / folder / 'a.csv')}")
+    names = [recording.name for source in open_sources(texts) for recording in source]
+    assert len(set(names)) == len(names) >= 2
+    first = names[: len(names) // 2]
+    assert names[len(first) :] == [f"{texts[1]}: {name}" for name in first]
+    with pytest.raises(PhaseError, match="no such file"):
+        open_sources([texts[0], "tracks:nowhere.csv"])
 
 
 def test_wrong_sources(tmp_path):
