@@ -25,6 +25,9 @@ from phase_sumo.sim.vehicles import VehicleState
 
 NOBODY, LOW_BITS = np.uint64(2**64 - 1), np.uint64(2**32 - 1)
 SAME_WAY = 0.5  # cosine of the heading difference up to which another vehicle is seen
+# The network's matrix products are in bf16, as in training, where the processor has them: a fifth less time
+_CAPABILITIES = getattr(torch.cpu, "get_capabilities", dict)()
+BF16 = any(_CAPABILITIES.get(name, False) for name in ("amx_bf16", "avx512_bf16", "bf16"))
 
 
 class Controller:
@@ -125,7 +128,9 @@ class Controller:
         others = every.map(lambda values: values[0, index])
         cell = self._road.map.cell(self._map_index, state.x.unsqueeze(0), state.y.unsqueeze(0)).squeeze(0)
         seen = observe(shape, state, task, others, mask, self._road.map, cell, driver.sim)
-        jerk, rate = kinematics.command(driver.act(seen), state, task.alpha, driver.actions, driver.sim.dt)
+        with torch.autocast("cpu", torch.bfloat16, enabled=BF16):
+            tokens = driver.act(seen)
+        jerk, rate = kinematics.command(tokens, state, task.alpha, driver.actions, driver.sim.dt)
         moves = self._steps.per_decision
         return kinematics.advance(shape, state, moves * jerk, moves * rate, self._of_a_move(driver.sim))
 
