@@ -125,6 +125,8 @@ class PhaseFleet(StepListener):
         if self._fleet and not self._closed:
             self._fleet.follow_sumo(time)
         self._contacts.update(self.scene.table, time, self.scene.types)
+        if self._fleet and not self._closed:
+            self._fleet.clear(self._contacts.wrecks(time))
         if self._trailers:
             self._trailers.update()
 
@@ -212,6 +214,9 @@ class PhaseFleet(StepListener):
             "policy_cpu_us_per_vehicle_step": fleet.cpu_per_decision if fleet else 0.0,
             "share_of_time_under_policy": _ratio(
                 sum(t.policy_seconds for t in phase), sum(t.seconds for t in phase)
+            ),
+            "share_of_freeway_time_under_policy": _ratio(
+                sum(t.policy_seconds for t in phase), sum(t.freeway_seconds for t in phase)
             ),
             "phase_arrived_under_policy": sum(t.finished for t in phase),
             "mean_travel_time": sum(travel) / len(travel) if travel else None,

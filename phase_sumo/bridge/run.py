@@ -80,8 +80,9 @@ def run_scenario(
     Returns:
         The command line's JSON: vehicles, phase_vehicles, arrived, phase_collisions,
         phase_at_fault_collisions, off_road, phase_vehicle_km, sim_seconds, wall_seconds, real_time_factor,
-        policy_cpu_us_per_vehicle_step, share_of_time_under_policy, accounts (inserted = arrived + running +
-        removed by reason), warnings, and more of the kind.
+        policy_cpu_us_per_vehicle_step, share_of_time_under_policy, share_of_freeway_time_under_policy (of the
+        PHASE vehicles' time on ``roads``), accounts (inserted = arrived + running + removed by reason),
+        warnings, and more of the kind.
 
     Raises:
         PhaseError: the scenario or an argument cannot be used.

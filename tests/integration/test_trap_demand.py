@@ -73,6 +73,7 @@ def test_sumo_drives_to_a_stop_and_phase_from_there(tmp_path, stop, seconds):
     assert float(done.get("ended", "0")) - float(done.get("started", "0")) >= seconds
     assert result["phase_arrived_under_policy"] == 1
     assert 0.2 < result["share_of_time_under_policy"] < 0.8
+    assert 0.2 < result["share_of_freeway_time_under_policy"] < 0.8  # parked is beside the road
 
 
 def test_persons_and_containers_ride_along(tmp_path):
@@ -251,6 +252,29 @@ def test_town_roads_traffic_lights_and_rails_are_sumos(tmp_path):
     assert result["accounts"]["arrived"] == 3
     assert result["phase_arrived_under_policy"] == result["phase_vehicles"] == 1
     assert 0.1 < result["share_of_time_under_policy"] < 0.9
+    assert 0.9 < result["share_of_freeway_time_under_policy"] <= 1.0
+
+
+def test_before_a_queue_at_the_end_of_the_freeway_sumo_takes_over(tmp_path):
+    """Where vehicles wait on it to get into town, for a driver that looks at nobody."""
+    nodes = '<node id="a" x="0" y="0"/><node id="b" x="700" y="0"/><node id="c" x="900" y="0"/>'
+    edges = (
+        '<edge id="fast" from="a" to="b" numLanes="2" speed="33"/>'
+        '<edge id="town" from="b" to="c" numLanes="2" speed="10"/>'
+    )
+    net = plain_net(tmp_path, nodes, edges)
+    human = '<vType id="human" length="4.8"><param key="has.phase.device" value="false"/></vType>'
+    queue = human + "".join(
+        f'<vehicle id="q{k}" type="human" depart="0" departLane="{k}" departPos="500">'
+        f'<route edges="fast town"/>'
+        f'<stop lane="fast_{k}" endPos="520" duration="60"/></vehicle>'
+        for k in range(2)
+    )
+    cfg = write_scenario(tmp_path, queue + vehicle(edges="fast town", depart="1"), net=net)
+    result = run_scenario(cfg, policy=Standin(reckless=True), end=120.0, time_gap=0.0)
+    assert result["phase_vehicles"] == result["fleet"]["hand_backs"] == 1
+    assert result["collisions"] == 0
+    assert result["accounts"] == {"inserted": 3, "arrived": 3, "running": 0}
 
 
 def test_sublanes_without_internal_lanes(tmp_path):

@@ -27,6 +27,7 @@ PHASE_MEASURES = {
     "phase_vehicles": Measure("PHASE vehicles", "", 0, "PHASE vehicles"),
     "phase_arrived_under_policy": Measure("… driven to their arrival by the policy", "", 0, "PHASE vehicles"),
     "share_of_time_under_policy": Measure("Share of their time under the policy", "", 3, "PHASE vehicles"),
+    "share_of_freeway_time_under_policy": Measure("… of that on freeways", "", 3, "PHASE vehicles"),
     "phase_vehicle_km": Measure("Distance under the policy", "veh-km", 1, "PHASE vehicles"),
     "phase_collisions": Measure("Collisions with a PHASE vehicle", "", 0, "PHASE vehicles"),
     "phase_at_fault_collisions": Measure("… of them its fault", "", 0, "PHASE vehicles"),

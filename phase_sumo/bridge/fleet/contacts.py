@@ -15,16 +15,19 @@ from phase_sumo.sim.near import pairs_within
 from phase_sumo.sim.vehicles import boxes
 
 APART = 1.0  # s without overlap that end a contact
+STANDING = 0.5  # m/s, at most, of vehicles that have come to rest
+WRECK_SECONDS = 10.0  # s at rest in each other after which two vehicles are a wreck
 CROSSING = np.radians(60.0)  # headings further apart are on different levels of an interchange
 
 
 @dataclass
 class _Contact:
-    """A contact that may go on: its event, when it began and the last overlap in s."""
+    """A contact that may go on: its event, when it began, the last overlap and the last movement in s."""
 
     event: Event
     begin: float
     last: float
+    moved: float
 
 
 class ContactMonitor:
@@ -46,11 +49,18 @@ class ContactMonitor:
             contact = self._open.get(pair)
             if contact is None:
                 new.append(self._log.add(event))
-                contact = self._open[pair] = _Contact(event, time, time)
+                contact = self._open[pair] = _Contact(event, time, time, time)
             contact.last = time
+            if max(event.speed, event.other_speed) > STANDING:
+                contact.moved = time
             contact.event.seconds = round(time - contact.begin, 3)
         self._open = {k: c for k, c in self._open.items() if time - c.last <= APART}
         return new
+
+    def wrecks(self, time: float) -> list[Event]:
+        """Collisions whose vehicles have stood in each other for `WRECK_SECONDS` at the last update."""
+        at_rest = WRECK_SECONDS - 1e-6
+        return [c.event for c in self._open.values() if c.last == time and time - c.moved >= at_rest]
 
 
 def _overlaps(table: VehicleTable, time: float, types: dict[str, str]):

@@ -11,10 +11,12 @@ from phase_sumo.bridge.fleet.adoption import Adoption
 from phase_sumo.bridge.fleet.choice import Choice
 from phase_sumo.bridge.fleet.controller import Controller
 from phase_sumo.bridge.fleet.drivers import Drivers
+from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.goals import GoalPlanner
 from phase_sumo.bridge.fleet.member import Member
 from phase_sumo.bridge.fleet.occupancy import Occupancy
 from phase_sumo.bridge.fleet.pose import PoseWriter
+from phase_sumo.bridge.fleet.queues import queue_rooms
 from phase_sumo.bridge.fleet.road import BoolArray, FloatArray, IntArray, Road
 from phase_sumo.bridge.fleet.road_edge import RoadEdgeMonitor
 from phase_sumo.bridge.fleet.route import (
@@ -127,6 +129,14 @@ class Fleet:
             self._speeds.update(self._node, self._planner.beside(self._node), occupancy, self._members)
         self._edge.update(time, self._node, self._members)
 
+    def clear(self, wrecks: list[Event]) -> None:
+        """Take out one vehicle of each wreck, that at fault if it is ours: the policy stays where it is."""
+        for wreck in wrecks:
+            pair = (wreck.vehicle, wreck.other)
+            ours = [vehicle for vehicle in pair if vehicle in self._members]
+            if ours and all(vehicle in self._scene.facts for vehicle in pair):
+                self._remove(ours[0], "crashed")
+
     def drive(self, time: float) -> None:
         """Move the vehicles and tell SUMO where they will be after its next step."""
         before, table = self._node, self._table
@@ -183,14 +193,17 @@ class Fleet:
         members, rows = list(self._members.items()), self._rows()
         on_route = self._on_route([member for _, member in members], rows)
         node = self._node[rows]
+        queue = queue_rooms(self._road, self._table, self._node, rows, [m for _, m in members], on_route)
         lane_id = self._lane_id
-        for (vehicle, member), on, at in zip(members, on_route.tolist(), node.tolist(), strict=True):
+        for (vehicle, member), on, at, room in zip(
+            members, on_route.tolist(), node.tolist(), queue.tolist(), strict=True
+        ):
             if not lane_id(vehicle):
                 member.off_lane_until = time + KEEP_ON_LANE
             if on:
                 member.lost_since = None
                 if member.leads_off or not member.edges:
-                    self._check_end(vehicle, member, at)
+                    self._check_end(vehicle, member, at, room)
             elif at < 0:
                 member.lost_since = time if member.lost_since is None else member.lost_since
                 if time - member.lost_since >= OFF_ROAD_SECONDS:
@@ -213,9 +226,9 @@ class Fleet:
                 self._node[rows[k]], on_route[k] = beside, True
         return on_route
 
-    def _check_end(self, vehicle: str, member: Member, node: int) -> None:
-        """Give back or take out a vehicle whose stretch of observed road ends."""
-        room = remaining(self._road, member.route, node)
+    def _check_end(self, vehicle: str, member: Member, node: int, queue: float) -> None:
+        """Give back or take out a vehicle whose observed road ends, or is full ``queue`` m ahead."""
+        room = min(remaining(self._road, member.route, node), queue)
         connector = self._road.network.lanes[int(self._road.graph.node_lane[node])].connector
         speed = self._table["speed"][self._table.row_of[vehicle]]
         if member.leads_off and room < max(HAND_BACK_TIME * speed, HAND_BACK_ROOM) and not connector:

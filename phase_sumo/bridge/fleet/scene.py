@@ -26,7 +26,7 @@ class Trip:
         depart, delay: s, of the insertion as in SUMO's tripinfo, and how much later than wanted that was.
         arrive: s, as in SUMO's tripinfo, NaN while it runs or when it was removed.
         removed: reason, "" if it was not.
-        policy_seconds, seconds: under the policy, and in total.
+        policy_seconds, freeway_seconds, seconds: under the policy, on the observed road, and in total.
         policy_metres: driven under the policy.
         adopted, finished: the policy drove it at some time; the policy drove it to its arrival.
     """
@@ -38,6 +38,7 @@ class Trip:
     arrive: float = float("nan")
     removed: str = ""
     policy_seconds: float = 0.0
+    freeway_seconds: float = 0.0
     seconds: float = 0.0
     policy_metres: float = 0.0
     adopted: bool = False
@@ -101,7 +102,10 @@ class Scene:
                     self.take_out(vehicle, REMOVED_BY_SUMO)
         self._mirror(present)
         for vehicle in self.facts:
-            self.trips[vehicle].seconds += self.session.step_length
+            trip = self.trips[vehicle]
+            trip.seconds += self.session.step_length
+            if vehicle in self.table.row_of:
+                trip.freeway_seconds += self.session.step_length
 
     def take_out(self, vehicle: str, reason: str) -> None:
         """The vehicle leaves the simulation before its arrival."""
