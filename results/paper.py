@@ -36,7 +36,8 @@ def policies() -> dict[str, Path]:
 
 def measure(logs: list[str], out: Path) -> dict[str, Any]:
     """All numbers: zero-shot by policy and reference, benchmark by policy, realism of the shipped policy."""
-    found: dict[str, Any] = {"logs": logs, "agent_steps": {}, "zero_shot": {}, "benchmark": {}}
+    names = [file_name(log) for log in logs]
+    found: dict[str, Any] = {"logs": names, "agent_steps": {}, "zero_shot": {}, "benchmark": {}}
     benchmark = load_benchmark(held_out_maps())
     for name, path in policies().items():
         policy = load_policy(path)
@@ -54,8 +55,14 @@ def measure(logs: list[str], out: Path) -> dict[str, Any]:
                 found["zero_shot"] |= {name: result} | references
     if logs:
         with progress_bar("realism") as progress:
-            found["realism"] = realism(logs, MODELS, out, progress=progress)
+            found["realism"] = realism(logs, MODELS, out, progress=progress) | {"logs": names}
     return found
+
+
+def file_name(log: str) -> str:
+    """A source without the folder that it lies in, which is nobody else's business."""
+    kind, _, place = log.partition(":")
+    return f"{kind}:{Path(place).name}"
 
 
 def tables(found: dict[str, Any]) -> str:
