@@ -18,6 +18,7 @@ from phase_sumo.bridge.fleet.scene import Trip
 from phase_sumo.bridge.live import PhaseFleet
 from phase_sumo.bridge.outputs.recorder import Recorder
 from phase_sumo.bridge.outputs.sumo_outputs import OUTPUTS, SumoOutputs
+from phase_sumo.bridge.signals import held_signals
 from phase_sumo.bridge.sumo.demand import sumo_model
 from phase_sumo.bridge.sumo.options import command, read_scenario
 from phase_sumo.bridge.sumo.session import Session, Simulation
@@ -154,20 +155,22 @@ def _loop(
     """Step until ``stop`` s, or until the demand is used up; returns the wall time in s."""
     started = shown = clock.perf_counter()
     begin, expected = simulation.time, simulation.api.simulation.getMinExpectedNumber
-    while True:
-        simulation.step()
-        fleet.observe()
-        outputs.update()
-        time = simulation.time
-        if recorder and recorder.due(time):
-            recorder.sample(time, fleet.scene.table, fleet.scene.types)
-        if expected() == 0 or (stop is not None and time >= stop - 1e-6):
-            break  # a pose that SUMO never steps to would crash libsumo's next simulation
-        fleet.drive()
-        now = clock.perf_counter()
-        if progress and now - shown > 0.2:
-            shown = now
-            progress(_fraction(fleet, begin, stop), _line(fleet))
+    with held_signals() as answer_signals:  # SUMO's files and ours end with the same step
+        while True:
+            simulation.step()
+            fleet.observe()
+            outputs.update()
+            time = simulation.time
+            if recorder and recorder.due(time):
+                recorder.sample(time, fleet.scene.table, fleet.scene.types)
+            if expected() == 0 or (stop is not None and time >= stop - 1e-6):
+                break  # a pose that SUMO never steps to would crash libsumo's next simulation
+            fleet.drive()
+            answer_signals()
+            now = clock.perf_counter()
+            if progress and now - shown > 0.2:
+                shown = now
+                progress(_fraction(fleet, begin, stop), _line(fleet))
     if progress:
         progress(1.0, _line(fleet))
     return clock.perf_counter() - started

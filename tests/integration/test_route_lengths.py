@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import itertools
 import signal
 import subprocess
 from itertools import pairwise
@@ -15,7 +15,11 @@ from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 
 from phase_sumo.bridge.fleet.controller import Controller
 from phase_sumo.bridge.fleet.event_log import read_events
+from phase_sumo.bridge.fleet.fleet import Fleet
+from phase_sumo.bridge.fleet.scene import Scene
+from phase_sumo.bridge.outputs.lane_changes import LaneChanges
 from phase_sumo.bridge.run import run_scenario
+from phase_sumo.bridge.sumo.session import Simulation
 from tests.scenario_files import write_scenario
 from tests.standin import Standin
 
@@ -123,15 +127,23 @@ def test_trips_past_their_arrival_position_end_where_they_were_driven_to(tmp_pat
     assert [w for w in result["warnings"] if w.startswith(f"{sum(arrived)} vehicles under PHASE drove past")]
 
 
-def test_files_of_an_interrupted_run_are_right_up_to_there(tmp_path, slalom):
-    def interrupt(fraction, text):
-        if fraction > 0.45:
-            os.kill(os.getpid(), signal.SIGINT)
+@pytest.mark.parametrize(
+    "place", [(Simulation, "step"), (Scene, "update"), (LaneChanges, "update"), (Fleet, "drive")]
+)
+def test_files_of_an_interrupted_run_are_right_up_to_there(tmp_path, slalom, monkeypatch, place):
+    """Wherever Ctrl-C comes: the step is done first."""
+    work, calls = getattr(*place), itertools.count()
 
+    def interrupted(*args):
+        if next(calls) == 54:
+            signal.raise_signal(signal.SIGINT)
+        work(*args)
+
+    monkeypatch.setattr(*place, interrupted)
     with pytest.raises(KeyboardInterrupt):
         run_scenario(
             write_scenario(tmp_path, FLOW, net=road(tmp_path), step=0.5), policy=Standin(), seed=1, end=60,
-            sumo_options=outputs(tmp_path), output_dir=tmp_path / "out", progress=interrupt,
+            sumo_options=outputs(tmp_path), output_dir=tmp_path / "out",
         )  # fmt: skip
     assert len(check_lengths(tmp_path, internal=True)) == 9
     expected, last = set(), {}
