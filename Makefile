@@ -35,6 +35,7 @@ paper: $(READY)
 
 networks: $(READY)
 	$(BIN)/python networks/generate.py
+	$(BIN)/python networks/hard.py
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed; name one with make PYTHON=python3.x" if sys.version_info < (3, 11) else 0)'

@@ -110,14 +110,13 @@ def netconvert(paths: dict[str, Path], output: Path, left_hand: bool = False) ->
         left_hand: traffic drives on the left.
     """
     with tempfile.TemporaryDirectory() as folder:
-        types, raw = Path(folder) / "types.typ.xml", Path(folder) / "raw.net.xml"
+        types = Path(folder) / "types.typ.xml"
         types.write_text(TYPES)
         options = {
             "node-files": paths["nod"],
             "edge-files": paths["edg"],
             "connection-files": paths["con"],
             "type-files": types,
-            "output-file": raw,
             "no-turnarounds": "true",
             "junctions.limit-turn-speed": "-1",
             "junctions.corner-detail": "0",
@@ -126,7 +125,15 @@ def netconvert(paths: dict[str, Path], output: Path, left_hand: bool = False) ->
         }
         if left_hand:
             options["lefthand"] = "true"
-        command = [sumolib.checkBinary("netconvert"), *(f"--{key}={value}" for key, value in options.items())]
+        run_netconvert(options, output)
+
+
+def run_netconvert(options: Mapping[str, str | Path], output: Path) -> None:
+    """Write a network to ``output``, without the comment that holds time, options and local paths."""
+    with tempfile.TemporaryDirectory() as folder:
+        raw = Path(folder) / "raw.net.xml"
+        command = [sumolib.checkBinary("netconvert"), f"--output-file={raw}"]
+        command += [f"--{key}={value}" for key, value in options.items()]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         text = raw.read_text(encoding="utf-8")
     output.write_text(re.sub(r"<!--.*?-->\n*", "", text, flags=re.DOTALL), encoding="utf-8")

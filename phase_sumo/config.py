@@ -149,6 +149,7 @@ class ScenarioConfig:
     spawn_time_headway: float = 0.7  # s kept free ahead of a spawned vehicle, choice
     spawn_gap: float = 2.0  # m kept free around it, choice
     horizon_share: float = 0.85  # a path must be drivable in this share of the horizon, choice
+    astray: float = 0.0  # share of the agents that begin out of line with their lane; 0 in the paper's recipe
 
 
 @dataclass(frozen=True)
@@ -225,6 +226,7 @@ def preset(name: str) -> TrainConfig:
         "gpudrive-same-model": dataclasses.replace(
             baseline, network=NetworkConfig(), actions=ActionConfig(prior_jerk=1e6, prior_steering_rate=1e6)
         ),
+        "fine-tune": _fine_tune(phase),
         "smoke": dataclasses.replace(
             phase, worlds=16, slots=16, total_steps=40_000, minibatch=1024, compiled=False
         ),
@@ -232,6 +234,20 @@ def preset(name: str) -> TrainConfig:
     if name not in presets:
         raise PhaseError(f"there is no preset {name!r}; choose one of: {', '.join(presets)}")
     return presets[name]
+
+
+def _fine_tune(phase: TrainConfig) -> TrainConfig:
+    """For a trained policy to go on with: to touch somebody costs more, and roads and starts are harder."""
+    return dataclasses.replace(
+        phase,
+        reward=dataclasses.replace(phase.reward, collision=3.0, speed=0.06),
+        scenarios=dataclasses.replace(phase.scenarios, truck_ratio=0.25, astray=0.08),
+        worlds=95,  # one for every (map, regime) tuple of networks and networks/hard
+        total_steps=20_000_000,
+        minibatch=2048,
+        learning_rate=3e-4,
+        curriculum=(-1.0, 0.0),  # rho 1 throughout
+    )
 
 
 def _gpudrive() -> TrainConfig:

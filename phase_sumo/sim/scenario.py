@@ -19,6 +19,8 @@ from phase_sumo.sim.vehicles import HISTORY, Task, VehicleShape, VehicleState, b
 PLACEMENT_ROUNDS = 8  # proposals for a slot before it stays empty
 LATERAL_SIGMA = 0.15  # m, spread of the start across the lane
 YAW_SIGMA = 0.01  # rad
+ASTRAY_LATERAL_SIGMA, ASTRAY_YAW_SIGMA = 0.6, 0.15  # m, and rad up to ASTRAY_SPEED; faster ones less
+ASTRAY_SPEED = 8.0  # m/s
 LONGEST_PATH = 400  # m, size of the count tables
 
 
@@ -176,11 +178,12 @@ def sample(
     active = torch.zeros(size, dtype=torch.bool, device=device)
     pair = torch.zeros(size, dtype=torch.long, device=device)
     tuples = tuple_index.unsqueeze(-1).expand(size)
-    state = _state_at(pairs, pair, shape, speed, uniform, generator)
+    astray = uniform() < config.astray if config.astray else active
+    state = _state_at(pairs, pair, shape, speed, astray, generator)
     for _ in range(PLACEMENT_ROUNDS):
         change = uniform() < change_ratio.unsqueeze(-1)
         proposal, exists = pairs.draw(tuples, change, shape.truck, longest, uniform())
-        proposed = _state_at(pairs, proposal, shape, speed, uniform, generator)
+        proposed = _state_at(pairs, proposal, shape, speed, astray, generator)
         trial = proposed.where(~active, state)
         accepted = (
             wanted
@@ -199,13 +202,25 @@ def sample(
 
 
 def _state_at(
-    pairs: PairTable, pair: Tensor, shape: VehicleShape, speed: Tensor, uniform, generator: torch.Generator
+    pairs: PairTable,
+    pair: Tensor,
+    shape: VehicleShape,
+    speed: Tensor,
+    astray: Tensor,
+    generator: torch.Generator,
 ) -> VehicleState:
-    """Vehicles settled on the lane at the start of their pair: steering and hitch follow its curvature."""
+    """Vehicles settled on the lane at the start of their pair: steering and hitch follow its curvature.
+
+    Args:
+        astray: [B, N] bool, further from the lane's centre and direction than others.
+    """
     x, y, yaw, curvature = pairs.node[pairs.start[pair]].unbind(-1)
     device = x.device
-    aside = LATERAL_SIGMA * torch.randn(x.shape, generator=generator, device=device)
-    yaw_error = YAW_SIGMA * torch.randn(x.shape, generator=generator, device=device)
+    turned = ASTRAY_YAW_SIGMA * (ASTRAY_SPEED / speed.clamp_min(ASTRAY_SPEED))
+    aside = torch.where(astray, ASTRAY_LATERAL_SIGMA, LATERAL_SIGMA)
+    aside = aside * torch.randn(x.shape, generator=generator, device=device)
+    yaw_error = torch.where(astray, turned, YAW_SIGMA)
+    yaw_error = yaw_error * torch.randn(x.shape, generator=generator, device=device)
     steer = torch.atan(shape.wheelbase * curvature)
     history = (*x.shape, HISTORY)
     return VehicleState(

@@ -20,6 +20,7 @@ from shapely.geometry import LineString, MultiLineString
 
 from networks.features import features
 from networks.generate import SPECS, generate
+from networks.hard import generate as generate_hard
 from networks.traffic import run_sumo
 from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.bridge.maps.net_xml import parse_net
@@ -34,6 +35,7 @@ from scenarios.generate import generate as generate_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 NETWORKS = sorted((ROOT / "networks").glob("*.net.xml"))
+HARD = sorted((ROOT / "networks" / "hard").glob("*.net.xml"))
 HELD_OUT = sorted((ROOT / "networks" / "held_out").glob("*.net.xml"))
 MERGE = ROOT / "scenarios" / "merge" / "merge.net.xml"
 # the files were made by this version; another one may write other attributes
@@ -215,6 +217,26 @@ def test_generating_a_network_again_gives_the_same_bytes(name, tmp_path):
     assert [p.name for p in plain] == [f"{name}.{kind}.xml" for kind in ("con", "edg", "nod")]
     for path in plain:
         assert path.read_bytes() == (ROOT / "networks" / "plain" / path.name).read_bytes()
+
+
+@same_sumo
+def test_generating_the_hard_networks_again_gives_the_same_bytes(tmp_path):
+    made = generate_hard(tmp_path)
+    assert sorted(made) == sorted(tmp_path.iterdir())
+    assert sorted(path.name for path in made) == sorted(path.name for path in HARD)
+    for path in made:
+        assert path.read_bytes() == (ROOT / "networks" / "hard" / path.name).read_bytes()
+
+
+def test_hard_networks_are_tighter_than_all_others():
+    def tightest(path: Path) -> float:
+        return float(1.0 / bundle_of(path).graph.bend.max())
+
+    assert len(HARD) == 5
+    assert max(tightest(path) for path in HARD) < min(tightest(path) for path in NETWORKS)
+    assert min(tightest(path) for path in HARD) > 10.0
+    for path in HARD:
+        assert len(bundle_of(path).pools[0].start) > 300
 
 
 @same_sumo

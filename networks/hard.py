@@ -1,0 +1,94 @@
+"""Networks that are harder to drive than a freeway should be: tight loop ramps, and roads with kinks.
+
+    python networks/hard.py        # into networks/hard
+
+Real interchanges have loops of 25 to 35 m radius, and many a user's network is drawn as straight edges that
+meet at an angle. The result is the same on every run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+sys.path.append(str(HERE.parent))
+
+from networks.alignment import RampShape  # noqa: E402
+from networks.build import build  # noqa: E402
+from networks.draw import Draw  # noqa: E402
+from networks.plain_xml import netconvert, run_netconvert  # noqa: E402
+from networks.specs import RECIPES  # noqa: E402
+
+TIGHTER = 0.56  # of the loops' radii
+LOOPS = ("f14_collector2", "f22_loops2")
+KINKS = {"f23_kinks2": (2, 1), "f24_kinks3": (3, 2), "f25_kinks1": (1, 3)}  # lanes and seed
+WITH_JUNCTION_LANES = "f24_kinks3"
+EDGES = 6
+
+
+class TightDraw(Draw):
+    """Draws the same network with smaller loops."""
+
+    def loop(self) -> RampShape:
+        shape = super().loop()
+        return replace(
+            shape,
+            radius=TIGHTER * shape.radius,
+            length=float(round(60 + TIGHTER * (shape.length - 60))),
+            spiral=18.0,
+            speed=round(0.75 * shape.speed, 2),
+        )
+
+
+def tight_loops(name: str, folder: Path) -> Path:
+    """A cloverleaf of the training networks, with tighter loops."""
+    number, _, kind = name.partition("_")
+    output = folder / f"{number}_tight_{kind}.net.xml"
+    with tempfile.TemporaryDirectory() as plain:
+        netconvert(build(RECIPES[name](TightDraw(name))).write(Path(plain) / name), output)
+    return output
+
+
+def kinks(name: str, folder: Path) -> Path:
+    """Straight edges of 70 to 140 m that meet at 15 to 45 degrees, mostly to alternate sides."""
+    lanes, seed = KINKS[name]
+    rng = np.random.default_rng(seed)
+    x = y = heading = 0.0
+    side, points = 1, [(0.0, 0.0)]
+    for _ in range(EDGES):
+        length = rng.uniform(70, 140)
+        x, y = x + length * np.cos(heading), y + length * np.sin(heading)
+        points.append((x, y))
+        heading += side * np.radians(rng.uniform(15, 45))
+        side = -side if rng.random() < 0.75 else side
+    nodes = "".join(f'<node id="n{i}" x="{x:.2f}" y="{y:.2f}"/>' for i, (x, y) in enumerate(points))
+    edges = "".join(
+        f'<edge id="e{i}" from="n{i}" to="n{i + 1}" numLanes="{lanes}" speed="30" type="highway.motorway"/>'
+        for i in range(EDGES)
+    )
+    output = folder / f"{name}.net.xml"
+    with tempfile.TemporaryDirectory() as plain:
+        paths = {kind: Path(plain) / f"{kind}.xml" for kind in ("nodes", "edges")}
+        paths["nodes"].write_text(f"<nodes>{nodes}</nodes>")
+        paths["edges"].write_text(f"<edges>{edges}</edges>")
+        options = {"node-files": paths["nodes"], "edge-files": paths["edges"]}
+        run_netconvert(options | {"no-internal-links": str(name != WITH_JUNCTION_LANES).lower()}, output)
+    return output
+
+
+def generate(folder: Path) -> list[Path]:
+    """All of them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return [*(tight_loops(name, folder) for name in LOOPS), *(kinks(name, folder) for name in KINKS)]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Generate the hard training networks with netconvert.")
+    parser.add_argument("--out", type=Path, default=HERE / "hard", help="folder to write to")
+    print(*generate(parser.parse_args().out), sep="\n")
