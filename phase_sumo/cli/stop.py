@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+from phase_sumo.bridge.signals import SIGNALS
 
 
 def interrupt(number: int, _: FrameType | None) -> None:
