@@ -198,14 +198,16 @@ def test_curves_ahead_on_the_route_slow_down(bend):
     node = np.array([bend.first[0] + 100])
     car, truck = np.array([False]), np.array([True])
     for edges, slow in ((("in", "turn"), True), (("in", "ahead"), False)):
-        leave = route_lanes(bend, edges, truck=False).exit_speed[bend.graph.node_lane[node]]
-        speed = float(curve_speed(bend, leave, node, car, np.zeros(1))[0])
+        routes = [route_lanes(bend, edges, truck=False)]
+        speed = float(curve_speed(bend, routes, node, car, np.zeros(1))[0])
         expected = np.sqrt(3.0 * 80.0 + 2.0 * BRAKING * 105.0) if slow else FASTEST
         assert speed == pytest.approx(expected, rel=0.02)
-        sooner = float(curve_speed(bend, leave, node, car, np.array([40.0]))[0])
+        sooner = float(curve_speed(bend, routes, node, car, np.array([40.0]))[0])
         there = np.sqrt(3.0 * 80.0 + 2.0 * BRAKING * 65.0) if slow else FASTEST
         assert sooner == pytest.approx(there, rel=0.02)
-    leave = route_lanes(bend, ("in", "turn"), truck=True).exit_speed[bend.graph.node_lane[node]]
-    assert curve_speed(bend, leave, node, truck, np.zeros(1))[0] == pytest.approx(
+        over_the_end = float(curve_speed(bend, routes, node, car, np.array([120.0]))[0])
+        assert over_the_end == pytest.approx(np.sqrt(3.0 * 80.0) if slow else FASTEST, rel=0.02)
+    routes = [route_lanes(bend, ("in", "turn"), truck=True)]
+    assert curve_speed(bend, routes, node, truck, np.zeros(1))[0] == pytest.approx(
         np.sqrt(160.0 + 2.0 * BRAKING * 105.0), rel=0.02
     )

@@ -87,9 +87,8 @@ class Adoption:
         turn = float(self._table["yaw"][row] - self._road.graph.node_yaw[node])
         if np.cos(turn) < np.cos(ALIGNED):
             return None
-        leave = lanes.exit_speed[self._road.graph.node_lane[here]]
         truck_here = self._table["truck"][row : row + 1]
-        fastest = curve_speed(self._road, leave, here, truck_here, np.zeros(1))
+        fastest = curve_speed(self._road, [lanes], here, truck_here, np.zeros(1))
         if self._table["speed"][row] > fastest + TOO_FAST:
             return None  # SUMO's vehicles take any curve at any speed
         leads_off = at + len(edges) < len(route)

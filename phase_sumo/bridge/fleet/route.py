@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_sumo.bridge.fleet.curve_speed import braked_to, exit_speeds
+from phase_sumo.bridge.fleet.curve_speed import FASTEST, braked_to, exit_speeds
 from phase_sumo.bridge.fleet.road import BoolArray, Road
 
 FloatArray = NDArray[np.float64]
@@ -147,20 +147,37 @@ def ahead(road: Road, route: RouteLanes, node: int, distance: float) -> Place:
 
 
 def curve_speed(
-    road: Road, leave: FloatArray, node: IntArray, truck: BoolArray, lead: FloatArray
+    road: Road, routes: Sequence[RouteLanes], node: IntArray, truck: BoolArray, lead: FloatArray
 ) -> FloatArray:
-    """[n] m/s at which nodes may be passed for the curves ahead.
+    """[n] m/s at which nodes may be passed for the curves ahead on their routes [n].
 
     Args:
-        leave: [n] `RouteLanes.exit_speed` of the nodes' lanes.
         truck: [n].
         lead: [n] m by which the speed must be reached earlier.
     """
+    lane = road.graph.node_lane[node]
+    leave = np.array([route.exit_speed[i] for route, i in zip(routes, lane.tolist(), strict=True)])
     left = road.graph.lane_end[node] - node  # nodes, which are about 1 m apart
     sooner = node + np.minimum(np.round(lead).astype(np.int64), left)
     kind = truck.astype(np.int64)
     within = np.minimum(road.curve_speed[kind, node], road.curve_speed[kind, sooner])
-    return np.minimum(within, braked_to(leave, np.maximum(left - lead, 0.0)))
+    speed = np.minimum(within, braked_to(leave, np.maximum(left - lead, 0.0)))
+    for k in np.flatnonzero((lead > left) & (leave < FASTEST)).tolist():
+        behind = _speed_behind(road, routes[k], int(lane[k]), int(kind[k]), float(lead[k] - left[k]))
+        speed[k] = min(speed[k], behind)
+    return speed
+
+
+def _speed_behind(road: Road, route: RouteLanes, lane: int, kind: int, metres: float) -> float:
+    """m/s at ``metres`` behind the end of a lane, for the curves from there on."""
+    while (lane := int(route.onward[lane])) >= 0:
+        left = int(road.count[lane]) - 1 - round(metres)
+        if left >= 0:
+            node = road.first[lane] + round(metres)
+            onward = braked_to(route.exit_speed[lane], np.float64(left))
+            return min(float(road.curve_speed[kind, node]), float(onward))
+        metres -= int(road.count[lane])
+    return FASTEST
 
 
 def path(road: Road, route: RouteLanes, node: int, length: float) -> IntArray:

@@ -104,6 +104,6 @@ class TargetSpeeds:
             for name in ("speed_factor", "max_speed", "target_speed")
         )
         speed = np.where(own > 0, own, np.minimum(self._limits[lane] * factor, highest))
-        leave = np.array([m.route.exit_speed[k] for m, k in zip(members, lane.tolist(), strict=True)])
+        routes = [member.route for member in members]
         truck, lead = self._table["truck"][rows], LAG * self._table["speed"][rows].astype(np.float64)
-        return np.minimum(speed, curve_speed(self._road, leave, node, truck, lead))
+        return np.minimum(speed, curve_speed(self._road, routes, node, truck, lead))
