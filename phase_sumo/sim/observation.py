@@ -149,7 +149,8 @@ def observe(
     others: Appearance,
     mask: Tensor,
     road_map: RoadMap,
-    cell: Tensor,
+    view: Tensor,
+    lane_yaw: Tensor,
     config: SimConfig,
     noise: tuple[Tensor, Tensor] | None = None,
 ) -> Observation:
@@ -159,16 +160,16 @@ def observe(
         shape, state, task: [...] of the observing agents.
         others: [..., K] how the neighbours look.
         mask: [..., K] bool, those that are real.
-        cell: [...] of the road map that each agent is in.
+        view: [...] row of `RoadMap.view` that each agent sees.
+        lane_yaw: [...] direction of the lane in rad.
         noise: standard normal numbers for partners [..., 4, K] and road points [..., 2, R], scaled here to
             the Gaussian noise on both; None for none.
     """
     partner_noise, road_noise = (None, None) if noise is None else noise
     heading = materialise(torch.cos(state.yaw), torch.sin(state.yaw))
-    cell, view = materialise(cell, road_map.cell_view[cell])
     road, road_mask = _road(state, heading, road_map.seen_in(view), config, road_noise)
     return Observation(
-        ego=_ego(shape, state, heading, task, road_map.cell_yaw[cell]),
+        ego=_ego(shape, state, heading, task, lane_yaw),
         context=_context(shape, task),
         partner=_partner(state, heading, others, mask, config, partner_noise),
         partner_mask=stored(mask),

@@ -13,7 +13,7 @@ from phase_sumo.sim.near import nearest
 from phase_sumo.sim.polylines import Polylines
 from phase_sumo.sim.road_cells import OFF_ROAD, cell_segments, cells
 from phase_sumo.sim.road_map import ABSENT, BLOCK, FAR, RoadKind, RoadMap
-from phase_sumo.sim.road_view import POINT_SPACING, view_points
+from phase_sumo.sim.road_view import POINT_SPACING, RoadView
 
 FloatArray = NDArray[np.float64]
 
@@ -46,20 +46,22 @@ def build_road_map(lines: list[RoadLine], graph: LaneGraph) -> RoadMap:
         lines: lane boundaries, solid boundaries and road edges.
         graph: gives lane centres, directions and what lies ahead.
     """
-    points = _points(lines, graph)
+    points = road_points(lines, graph)
     segment, segment_kind = _segments(lines)
     grid, slot, node = cells(graph)
     squares = np.full(BLOCK**2 + grid.slots, len(slot))
     squares[BLOCK**2 + slot] = np.arange(len(slot))
     off_road = np.hypot(*(grid.centre(grid.square(slot)) - graph.node_xy[node]).T) > OFF_ROAD
-    seen, row = view_points(graph, points.xy, points.kind, points.of_node, node)
+    looked_from = np.bincount(node, minlength=len(graph.node_lane)) > 0
+    seen = RoadView(graph, points.xy, points.kind, points.of_node).points(np.flatnonzero(looked_from))
+    row = (np.cumsum(looked_from) - 1)[node]  # of each cell
     near = cell_segments(grid, slot, segment, segment_kind)
     in_reach = (near >= 0).sum(1)
     touched = in_reach > 0
     border_row = np.where(touched, np.cumsum(touched) - 1, touched.sum())
     return RoadMap(
-        view=_rows(seen, np.column_stack((points.xy, points.direction)), points.kind),
-        border=_rows(near[touched, : in_reach.max(initial=1)], segment, segment_kind),
+        view=view_rows(seen, np.column_stack((points.xy, points.direction)), points.kind),
+        border=view_rows(near[touched, : in_reach.max(initial=1)], segment, segment_kind),
         cell_view=torch.from_numpy(np.append(row, len(seen))),
         cell_border=torch.from_numpy(np.append(border_row, touched.sum())),
         cell_yaw=_floats(np.append(graph.node_yaw[node], 0.0)),
@@ -77,7 +79,7 @@ def _floats(array: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(array, np.float32))
 
 
-def _rows(index: NDArray[np.int32], values: FloatArray, kind: NDArray[np.int64]) -> torch.Tensor:
+def view_rows(index: NDArray[np.int32], values: FloatArray, kind: NDArray[np.int64]) -> torch.Tensor:
     """[n + 1, 5, k] the values that index [n, k] points to, empty for -1 and in the last row."""
     empty = np.array([[FAR], [FAR], [FAR], [FAR], [ABSENT]])
     columns = np.concatenate((np.column_stack((values, kind)).T, empty), 1).astype(np.float32)
@@ -88,7 +90,7 @@ def _rows(index: NDArray[np.int32], values: FloatArray, kind: NDArray[np.int64])
     return torch.from_numpy(rows)
 
 
-def _points(lines: list[RoadLine], graph: LaneGraph) -> RoadPoints:
+def road_points(lines: list[RoadLine], graph: LaneGraph) -> RoadPoints:
     """Lane centres every fourth node, borders every `POINT_SPACING` metres."""
     chosen = (np.arange(len(graph.node_lane)) - graph.lane_start) % round(POINT_SPACING) == 0
     yaw = graph.node_yaw[chosen]

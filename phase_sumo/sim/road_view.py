@@ -35,49 +35,60 @@ NODES_AT_ONCE = 8192  # to bound memory
 ABEAM = 2.5  # m: a border point this far ahead or behind counts as beside
 
 
-def view_points(
-    graph: LaneGraph, xy: np.ndarray, kind: IntArray, of_node: IntArray, nodes: IntArray
-) -> tuple[NDArray[np.int32], IntArray]:
-    """Road points seen from nodes.
+class RoadView:
+    """What is seen of a road from the nodes of its lanes.
 
     Args:
         graph: lane graph.
         xy, kind: [P, 2] m and [P], the road points; lane centres come first.
         of_node: [V] lane-centre point of each node.
-        nodes: nodes to look from; equal ones share a row.
-
-    Returns:
-        [V, R] points, -1 padded, and the row of each node [len(nodes)].
     """
-    looked_from = np.bincount(nodes, minlength=len(of_node)) > 0
-    used, row = np.flatnonzero(looked_from), np.cumsum(looked_from) - 1
-    walk = _Walk.of(graph)
-    centre = np.append(of_node, -1)
-    edges = _beside(graph, xy, kind, of_node, (RoadKind.ROAD_EDGE,), EDGE_REACH)
-    boundaries = _beside(
-        graph, xy, kind, of_node, (RoadKind.LANE_BOUNDARY, RoadKind.SOLID_BOUNDARY), BOUNDARY_REACH
-    )
-    lanes = [np.where(side >= 0, side, len(side)) for side in (graph.left, graph.right)]
-    seen = np.empty((len(used), POINTS_PER_CELL), np.int32)
-    for begin in range(0, len(used), NODES_AT_ONCE):
-        part = slice(begin, begin + NODES_AT_ONCE)
-        at = used[part]
-        own = {d: walk.ahead(at, d) for d in OWN_DISTANCES}
-        beside = [{d: walk.ahead(lane[at], d) for d in BESIDE_AHEAD + SPARE_BESIDE_AHEAD} for lane in lanes]
-        columns = [(centre, own[d]) for d in OWN_AHEAD]
-        columns += [(side, own[d]) for d in EDGE_AHEAD for side in edges]
-        columns += [(centre, lane[d]) for lane in beside for d in BESIDE_AHEAD]
-        columns += [(side, own[d]) for d in BOUNDARY_AHEAD for side in boundaries]
-        columns += [(centre, walk.fork(at, d)) for d in FORK_AHEAD]
-        columns += [(side, own[d]) for d in SPARE_EDGE_AHEAD for side in edges]
-        columns += [(centre, own[d]) for d in SPARE_OWN_AHEAD]
-        columns += [(centre, lane[d]) for lane in beside for d in SPARE_BESIDE_AHEAD]
-        points = [table[node].astype(np.int32) for table, node in columns]
-        families = [
-            0 if table is centre else 1 if any(table is side for side in edges) else 2 for table, _ in columns
-        ]
-        seen[part] = _first_distinct(points, families, POINTS_PER_CELL)
-    return seen, row[nodes]
+
+    def __init__(self, graph: LaneGraph, xy: np.ndarray, kind: IntArray, of_node: IntArray) -> None:
+        self._graph = graph
+        self._centre = np.append(of_node, -1)
+        self._edges = _beside(graph, xy, kind, of_node, (RoadKind.ROAD_EDGE,), EDGE_REACH)
+        self._boundaries = _beside(
+            graph, xy, kind, of_node, (RoadKind.LANE_BOUNDARY, RoadKind.SOLID_BOUNDARY), BOUNDARY_REACH
+        )
+        self._lanes = [np.where(side >= 0, side, len(side)) for side in (graph.left, graph.right)]
+
+    def points(self, nodes: IntArray, route: tuple[IntArray, IntArray] | None = None) -> NDArray[np.int32]:
+        """Road points seen from nodes.
+
+        Args:
+            nodes: [n] to look from.
+            route: last nodes of lanes, and the nodes where the road goes on from there, not straight on.
+
+        Returns:
+            [n, R] points, -1 padded.
+        """
+        walk = _Walk.of(self._graph, route)
+        edges, boundaries, centre = self._edges, self._boundaries, self._centre
+        seen = np.empty((len(nodes), POINTS_PER_CELL), np.int32)
+        for begin in range(0, len(nodes), NODES_AT_ONCE):
+            part = slice(begin, begin + NODES_AT_ONCE)
+            at = nodes[part]
+            own = {d: walk.ahead(at, d) for d in OWN_DISTANCES}
+            beside = [
+                {d: walk.ahead(lane[at], d) for d in BESIDE_AHEAD + SPARE_BESIDE_AHEAD}
+                for lane in self._lanes
+            ]
+            columns = [(centre, own[d]) for d in OWN_AHEAD]
+            columns += [(side, own[d]) for d in EDGE_AHEAD for side in edges]
+            columns += [(centre, lane[d]) for lane in beside for d in BESIDE_AHEAD]
+            columns += [(side, own[d]) for d in BOUNDARY_AHEAD for side in boundaries]
+            columns += [(centre, walk.fork(at, d)) for d in FORK_AHEAD]
+            columns += [(side, own[d]) for d in SPARE_EDGE_AHEAD for side in edges]
+            columns += [(centre, own[d]) for d in SPARE_OWN_AHEAD]
+            columns += [(centre, lane[d]) for lane in beside for d in SPARE_BESIDE_AHEAD]
+            points = [table[node].astype(np.int32) for table, node in columns]
+            families = [
+                0 if table is centre else 1 if any(table is side for side in edges) else 2
+                for table, _ in columns
+            ]
+            seen[part] = _first_distinct(points, families, POINTS_PER_CELL)
+        return seen
 
 
 @dataclass(frozen=True)
@@ -95,10 +106,14 @@ class _Walk:
     to_fork: IntArray
 
     @staticmethod
-    def of(graph: LaneGraph) -> _Walk:
+    def of(graph: LaneGraph, route: tuple[IntArray, IntArray] | None = None) -> _Walk:
         beyond = len(graph.node_lane)
         onward = _onward(graph)
         branch = np.append(graph.successor[:, 1].astype(np.int64), -1)
+        if route is not None:
+            end, target = route
+            branch[end] = np.where(target != onward[end], onward[end], branch[end])
+            onward[end] = target
         jumps = [np.append(np.where(onward >= 0, onward, beyond), beyond)]
         to_fork = np.where(branch >= 0, 0, 2**JUMPS)
         for k in range(JUMPS):

@@ -174,4 +174,6 @@ def look(
     table = materialise(*vars(appearance(worlds.shape, state)).values())
     others = Appearance(*(gather(values, index) for values in table))
     cell = road_map.cell(map_index, state.x, state.y)
-    return observe(worlds.shape, state, worlds.task, others, mask, road_map, cell, sim, noise)
+    cell, view = materialise(cell, road_map.cell_view[cell])
+    lane_yaw = road_map.cell_yaw[cell]
+    return observe(worlds.shape, state, worlds.task, others, mask, road_map, view, lane_yaw, sim, noise)

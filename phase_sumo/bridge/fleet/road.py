@@ -6,11 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_sumo.bridge.fleet.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, curvature, lane_speeds
+from phase_sumo.bridge.fleet.route_views import RouteViews
 from phase_sumo.bridge.maps.road_lines import road_lines
 from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.near import pairs_within
 from phase_sumo.sim.road_build import build_road_map
+from phase_sumo.sim.road_map import RoadMap
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -39,7 +41,8 @@ class Road:
     def __init__(self, network: LaneNetwork) -> None:
         self.network = network
         self.graph = build_lane_graph(network)
-        self.map = build_road_map(road_lines(network), self.graph)
+        lines = road_lines(network)
+        self.views = RouteViews(lines, self.graph, build_road_map(lines, self.graph))
         self.count = np.bincount(self.graph.node_lane, minlength=len(network.lanes))
         self.first = np.concatenate(([0], np.cumsum(self.count)[:-1]))
         self.metres = np.array([float(np.hypot(*np.diff(c.points, axis=0).T).sum()) for c in network.lanes])
@@ -53,6 +56,10 @@ class Road:
             self.preceding[b].append(a)
         self._step = self._neighbourhood()
         self.curve_speed = np.stack([lane_speeds(self.graph, force) for force in (SIDEWAYS, SIDEWAYS_TRUCK)])
+
+    @property
+    def map(self) -> RoadMap:
+        return self.views.map
 
     def offset(self, node: int) -> int:
         """Metres (nodes) from the start of the node's lane."""

@@ -28,6 +28,7 @@ class RouteLanes:
         onward: lane to take at the lane's end, -1 where the route or the lane ends.
         exit_speed: m/s at the lane's end for the curves that follow.
         side: +1 when the lane to the left needs fewer changes, -1 for the right, 0 for neither.
+        view: [L, 3] nodes first, end and row of the road map's view for the first, see `route_views`.
     """
 
     changes: FloatArray
@@ -35,6 +36,7 @@ class RouteLanes:
     onward: IntArray
     side: IntArray
     exit_speed: FloatArray
+    view: IntArray
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,8 @@ def route_lanes(road: Road, edges: Sequence[str], truck: bool) -> RouteLanes:
         for i in here:
             _extend(road, i, changes, room, onward)
         _sideways(road, here, changes, side)
-    return RouteLanes(changes, room, onward, side, _exit_speeds(road, onward, truck))
+    view = road.views.of(onward, np.isfinite(changes))
+    return RouteLanes(changes, room, onward, side, _exit_speeds(road, onward, truck), view)
 
 
 def follow_lanes(road: Road) -> RouteLanes:
@@ -87,7 +90,14 @@ def follow_lanes(road: Road) -> RouteLanes:
     size = len(road.network.lanes)
     onward = np.array([f[0] if f else -1 for f in road.following], np.int64).reshape(-1)
     speed = _exit_speeds(road, onward, truck=True)
-    return RouteLanes(np.zeros(size), np.full(size, np.inf), onward, np.zeros(size, np.int64), speed)
+    return RouteLanes(
+        np.zeros(size),
+        np.full(size, np.inf),
+        onward,
+        np.zeros(size, np.int64),
+        speed,
+        np.zeros((size, 3), np.int64),
+    )
 
 
 def _exit_speeds(road: Road, onward: IntArray, truck: bool) -> FloatArray:
@@ -174,7 +184,7 @@ def _speed_behind(road: Road, route: RouteLanes, lane: int, kind: int, metres: f
         left = int(road.count[lane]) - 1 - round(metres)
         if left >= 0:
             node = road.first[lane] + round(metres)
-            onward = braked_to(route.exit_speed[lane], np.float64(left))
+            onward = braked_to(route.exit_speed[lane : lane + 1], np.array([left]))[0]
             return min(float(road.curve_speed[kind, node]), float(onward))
         metres -= int(road.count[lane])
     return FASTEST

@@ -1,0 +1,152 @@
+"""What vehicles see where a road forks: their own route.
+
+A place of the road map shows the road straight on from the lane nearest to it. Before a fork that may be the
+branch that a route does not take, and behind it, while the branches still lie over each other, too. There
+every route has views of its own, from the nodes of its lanes along its own way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from phase_sumo.bridge.fleet.table import VehicleTable
+from phase_sumo.sim.lane_graph import LaneGraph
+from phase_sumo.sim.road_build import RoadLine, RoadPoints, road_points, view_rows
+from phase_sumo.sim.road_map import RoadMap
+from phase_sumo.sim.road_view import RoadView
+
+if TYPE_CHECKING:
+    from phase_sumo.bridge.fleet.route import RouteLanes
+
+IntArray = NDArray[np.int64]
+AHEAD = 100  # m before a fork from which the branch is in sight
+BEHIND = 60  # m behind a fork over which the branches may be taken for one another
+GROWTH = 1.5  # of the table when it is full
+
+
+class RouteViews:
+    """Views of routes, beside those of places.
+
+    Attributes:
+        map: the road map; its table of views grows with the routes.
+    """
+
+    def __init__(self, lines: list[RoadLine], graph: LaneGraph, road_map: RoadMap) -> None:
+        self.map = road_map
+        self._lines, self._graph = lines, graph
+        self._first = np.flatnonzero(np.diff(graph.node_lane, prepend=-1)).astype(np.int64)
+        self._count = np.bincount(graph.node_lane).astype(np.int64)
+        self._last = self._first + self._count - 1
+        ways = graph.successor[self._last].astype(np.int64)
+        self._straight = np.where(ways[:, 0] >= 0, graph.node_lane[ways[:, 0]], -1)
+        self._forks = ways[:, 1] >= 0
+        self._known: dict[tuple[int, ...], tuple[int, int, int]] = {}
+        self._rows = len(road_map.view)
+
+    def of(self, onward: IntArray, on_route: NDArray[np.bool_]) -> IntArray:
+        """Make what a route needs.
+
+        Args:
+            onward: [L] lane to take at each lane's end, -1 for none.
+            on_route: [L] lanes of the route.
+
+        Returns:
+            [L, 3] first node, end node and row of the first; first = end where places show the road.
+        """
+        result = np.zeros((len(onward), 3), np.int64)
+        missing = []
+        for lane, ahead, part in self._parts(onward, np.flatnonzero(on_route)):
+            key = (*part, *ahead)
+            if key not in self._known:
+                self._known[key] = (*part, self._rows)
+                self._rows += part[1] - part[0]
+                missing.append(part)
+            result[lane] = self._known[key]
+        if missing:
+            ends = np.flatnonzero(on_route & (onward >= 0))
+            route = self._last[ends], self._first[onward[ends]]
+            self._add(np.concatenate([np.arange(*part) for part in missing]), route)
+        return result
+
+    def seen(self, table: VehicleTable, node: IntArray, routes: dict[str, RouteLanes]) -> IntArray:
+        """Which row of the map's views each vehicle sees because of its route.
+
+        Args:
+            node: [N] node of each row's front bumper, -1 off the road.
+            routes: of the vehicles under the policy.
+
+        Returns:
+            [N] row, -1 where the place shows the road.
+        """
+        result = np.full(len(node), -1)
+        rows = np.array([table.row_of[vehicle] for vehicle in routes], np.int64)
+        views = [route.view for route in routes.values()]
+        on = np.flatnonzero(node[rows] >= 0)
+        rows, at = rows[on], node[rows[on]]
+        front = (table["length"][rows] - table["rear_overhang"][rows]).round().astype(np.int64)
+        at = np.maximum(at - front, self._graph.lane_start[at])  # places are those of the reference point
+        lane = self._graph.node_lane[at].tolist()
+        own = [views[k][i] for k, i in zip(on.tolist(), lane, strict=True)]
+        first, end, row = np.array(own, np.int64).reshape(-1, 3).T
+        result[rows] = np.where((at >= first) & (at < end), row + at - first, -1)
+        return result
+
+    def _parts(
+        self, onward: IntArray, lanes: IntArray
+    ) -> Iterator[tuple[int, tuple[int, ...], tuple[int, int]]]:
+        """Lanes with the lanes that follow within sight, and their nodes [first, end) near forks."""
+        behind = self._behind(onward, lanes)
+        for lane in lanes.tolist():
+            first, count = int(self._first[lane]), int(self._count[lane])
+            ahead, metres, turns = [], 0, AHEAD
+            at = lane
+            while metres < AHEAD and onward[at] >= 0:
+                if onward[at] != self._straight[at]:
+                    turns = min(turns, metres)
+                at = int(onward[at])
+                ahead.append(at)
+                metres += int(self._count[at])
+            begin = max(count - (AHEAD - turns), 0) if turns < AHEAD else count
+            end = count if turns < AHEAD else 0
+            if behind[lane] < BEHIND:
+                begin, end = 0, max(end, min(count, BEHIND - behind[lane]))
+            if begin < end:
+                yield lane, tuple(ahead), (first + begin, first + end)
+
+    def _behind(self, onward: IntArray, lanes: IntArray) -> dict[int, int]:
+        """Metres from the last fork to each lane's begin, at least `BEHIND` for none."""
+        behind = dict.fromkeys(lanes.tolist(), BEHIND)
+        for lane in lanes[self._forks[lanes]].tolist():
+            metres, at = 0, int(onward[lane])
+            while metres < BEHIND and at >= 0:
+                behind[at] = min(behind.get(at, BEHIND), metres)
+                metres += int(self._count[at])
+                at = int(onward[at])
+        return behind
+
+    def _add(self, nodes: IntArray, route: tuple[IntArray, IntArray]) -> None:
+        seen = self._view.points(nodes, route)
+        points = self._points
+        rows = view_rows(seen, np.column_stack((points.xy, points.direction)), points.kind)[:-1]
+        begin, table = self._rows - len(rows), self.map.view
+        if self._rows > len(table):
+            table = torch.empty((int(GROWTH * self._rows), *table.shape[1:]))
+            table[:begin] = self.map.view[:begin]
+            self.map = replace(self.map, view=table)
+        table[begin : self._rows] = rows
+
+    @cached_property
+    def _points(self) -> RoadPoints:
+        return road_points(self._lines, self._graph)
+
+    @cached_property
+    def _view(self) -> RoadView:
+        points = self._points
+        return RoadView(self._graph, points.xy, points.kind, points.of_node)
