@@ -69,6 +69,15 @@ def test_without_a_leader_in_reach_or_without_a_time_gap_the_driver_decides(road
     assert Traffic(road, [("a", 100.0, 0.0, 20.0, 0.0)]).update()[0] == LIMIT  # the lane's limit
 
 
+@pytest.mark.parametrize(
+    ("turn", "speed", "told"), [(0.15, 12.0, 28.0), (0.25, 12.0, 12.0), (-0.25, 2.0, 5.0)]
+)
+def test_vehicles_askew_do_not_speed_up(road, turn, speed, told):
+    traffic = Traffic(road, [("a", 100.0, 0.0, speed, 28.0)])
+    traffic.table["yaw"][traffic.rows] = turn
+    assert traffic.update()[0] == pytest.approx(told)
+
+
 def test_what_is_wanted_is_kept_apart(road):
     traffic = Traffic(road, [("a", 100.0, 0.0, 20.0, 28.0), ("b", 120.0, 0.0, 10.0)])
     assert traffic.update()[0] < 15.0

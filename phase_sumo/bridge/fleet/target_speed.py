@@ -11,7 +11,8 @@ from where closing up with b takes just the room beyond the desired gap d, and a
 within some tau, slowly behind leaders that are not in the own lane yet: two who give way to one another would
 stop. tau and v_back were chosen on the merge scenario and two real stretches. T and s0 are the vType's tau
 and minGap, or ``phase.time_gap``; T = 0 turns this off. A vehicle that changes lanes heeds the leaders of
-both lanes, and one before a merge the vehicle that will be there first (`merging`). Not in the paper: its
+both lanes, and one before a merge the vehicle that will be there first (`merging`). A vehicle that points
+well off its lane's direction is not told to speed up before it is in line again. Not in the paper: its
 policy alone keeps too short gaps at freeway speeds (README, "Driving with traffic").
 """
 
@@ -23,13 +24,15 @@ from phase_sumo.bridge.fleet.context import TARGET_SPEEDS
 from phase_sumo.bridge.fleet.member import Member
 from phase_sumo.bridge.fleet.merging import Merging
 from phase_sumo.bridge.fleet.occupancy import Occupancy
-from phase_sumo.bridge.fleet.road import FloatArray, IntArray, Road
+from phase_sumo.bridge.fleet.road import BoolArray, FloatArray, IntArray, Road
 from phase_sumo.bridge.fleet.route import curve_speed
 from phase_sumo.bridge.fleet.table import VehicleTable
 
 CLOSING_UP = 1.0  # m/s^2, b
 OWN_LANE, OTHER_LANE = (7.0, 2.0), (10.0, 1.0)  # tau in s and v_back in m/s
 LAG = 1.5  # s by which the policy is behind a target speed that falls towards a curve
+ASKEW = 0.2  # rad, about 11 degrees: behind a kink, or running wide; a lane change takes less
+LEAST_ASKEW = 5.0  # m/s that vehicles askew are told at least
 LOOK = 150.0  # m, the policy's own range
 
 
@@ -105,5 +108,12 @@ class TargetSpeeds:
         )
         speed = np.where(own > 0, own, np.minimum(self._limits[lane] * factor, highest))
         routes = [member.route for member in members]
-        truck, lead = self._table["truck"][rows], LAG * self._table["speed"][rows].astype(np.float64)
-        return np.minimum(speed, curve_speed(self._road, routes, node, truck, lead))
+        now = self._table["speed"][rows].astype(np.float64)
+        speed = np.where(self._askew(rows, node), np.minimum(speed, np.maximum(now, LEAST_ASKEW)), speed)
+        truck = self._table["truck"][rows]
+        return np.minimum(speed, curve_speed(self._road, routes, node, truck, LAG * now))
+
+    def _askew(self, rows: IntArray, node: IntArray) -> BoolArray:
+        """Whether vehicles point so far from their lane's direction that they must not speed up."""
+        turn = self._table["yaw"][rows] - self._road.graph.node_yaw[node]
+        return np.cos(turn) < np.cos(ASKEW)
