@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+Points = list[tuple[float, float]]
 HERE = Path(__file__).resolve().parent
 sys.path.append(str(HERE.parent))
 
@@ -30,6 +31,8 @@ LOOPS = ("f14_collector2", "f22_loops2")
 KINKS = {"f23_kinks2": (2, 1), "f24_kinks3": (3, 2), "f25_kinks1": (1, 3)}  # lanes and seed
 WITH_JUNCTION_LANES = "f24_kinks3"
 EDGES = 6
+RAMPS = {"f26_ramp1": (1, 4), "f27_ramps1": (1, 10), "f28_ramp2": (2, 6)}  # lanes and seed
+JOINING = "f27_ramps1"  # two ramps that become one
 
 
 class TightDraw(Draw):
@@ -72,20 +75,69 @@ def kinks(name: str, folder: Path) -> Path:
         f'<edge id="e{i}" from="n{i}" to="n{i + 1}" numLanes="{lanes}" speed="30" type="highway.motorway"/>'
         for i in range(EDGES)
     )
-    output = folder / f"{name}.net.xml"
+    options = {"no-internal-links": str(name != WITH_JUNCTION_LANES).lower()}
+    return _write(folder / f"{name}.net.xml", nodes, edges, options)
+
+
+def winding(rng: np.random.Generator, x: float, y: float, heading: float, length: float) -> Points:
+    """A ramp as maps hold it: arcs of 13 to 60 m radius and straights, as a line with corners 5 to 12 m apart."""
+    points, side, driven = [(x, y)], 1, 0.0
+    while driven < length:
+        radius = np.exp(rng.uniform(np.log(13), np.log(60)))
+        parts = ((radius * np.radians(rng.uniform(40, 150)), side / radius), (rng.uniform(15, 60), 0.0))
+        for metres, curvature in parts:
+            pieces = int(np.ceil(metres / rng.uniform(5, 12)))
+            for _ in range(pieces):
+                heading += 0.5 * curvature * metres / pieces
+                x, y = x + metres / pieces * np.cos(heading), y + metres / pieces * np.sin(heading)
+                heading += 0.5 * curvature * metres / pieces
+                points.append((x, y))
+            driven += metres
+        side = -side if rng.random() < 0.8 else side
+    return points
+
+
+def ramps(name: str, folder: Path) -> Path:
+    """Winding ramps; those of `JOINING` become one half-way."""
+    lanes, seed = RAMPS[name]
+    rng = np.random.default_rng(seed)
+    stem = winding(rng, 0.0, 0.0, 0.0, 250.0)
+    shapes = {"stem": stem}
+    begins = (-0.3, 0.3) if name == JOINING else (0.0,)
+    for i, heading in enumerate(begins):
+        shapes[f"branch{i}"] = [(x, y) for x, y in winding(rng, 0.0, 0.0, np.pi + heading, 250.0)][::-1]
+    nodes = [("middle", stem[0]), ("end", stem[-1])]
+    nodes += [(f"begin{i}", shapes[f"branch{i}"][0]) for i in range(len(begins))]
+    ways = {"stem": ("middle", "end")} | {f"branch{i}": (f"begin{i}", "middle") for i in range(len(begins))}
+    return _write(
+        folder / f"{name}.net.xml",
+        "".join(f'<node id="{i}" x="{x:.2f}" y="{y:.2f}"/>' for i, (x, y) in nodes),
+        "".join(
+            f'<edge id="{edge}" from="{a}" to="{b}" numLanes="{lanes}" speed="18" width="3.66"'
+            f' type="highway.motorway_link" shape="{" ".join(f"{x:.2f},{y:.2f}" for x, y in shapes[edge])}"/>'
+            for edge, (a, b) in ways.items()
+        ),
+        {},
+    )
+
+
+def _write(output: Path, nodes: str, edges: str, options: dict[str, object]) -> Path:
     with tempfile.TemporaryDirectory() as plain:
         paths = {kind: Path(plain) / f"{kind}.xml" for kind in ("nodes", "edges")}
         paths["nodes"].write_text(f"<nodes>{nodes}</nodes>")
         paths["edges"].write_text(f"<edges>{edges}</edges>")
-        options = {"node-files": paths["nodes"], "edge-files": paths["edges"]}
-        run_netconvert(options | {"no-internal-links": str(name != WITH_JUNCTION_LANES).lower()}, output)
+        run_netconvert({"node-files": paths["nodes"], "edge-files": paths["edges"]} | options, output)
     return output
 
 
 def generate(folder: Path) -> list[Path]:
     """All of them."""
     folder.mkdir(parents=True, exist_ok=True)
-    return [*(tight_loops(name, folder) for name in LOOPS), *(kinks(name, folder) for name in KINKS)]
+    return [
+        *(tight_loops(name, folder) for name in LOOPS),
+        *(kinks(name, folder) for name in KINKS),
+        *(ramps(name, folder) for name in RAMPS),
+    ]
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_sumo.sim.curve_speed import braked_to
 from phase_sumo.sim.lane_graph import MAX_SUCCESSORS, LaneGraph
 
 IntArray = NDArray[np.int64]
@@ -49,6 +50,7 @@ class Labels:
         change: its signed lane-change count c.
         truck: every lane so far allows trucks.
         length: metres from start to node.
+        speed: m/s at the start from which every curve on the way can be braked for.
     """
 
     start: IntArray
@@ -56,6 +58,7 @@ class Labels:
     change: IntArray
     truck: BoolArray
     length: FloatArray
+    speed: FloatArray
 
     def take(self, rows: IntArray | BoolArray) -> Labels:
         return Labels(*(getattr(self, f.name)[rows] for f in fields(self)))
@@ -163,6 +166,7 @@ def search(
     ways: list[Transition],
     longest: float,
     budget: int,
+    speeds: FloatArray,
 ) -> Iterator[Labels]:
     """Labels of every lane within ``longest`` metres and ``budget`` lane changes, block by block of starts.
 
@@ -170,12 +174,13 @@ def search(
         starts: [Q] nodes.
         truck: [Q] a truck may start there.
         ways: from `transitions`.
+        speeds: [V] m/s, see `curve_speed.lane_speeds`.
     """
     ranks = _Ranks.of(graph, longest, budget)
     for begin in range(0, len(starts), BLOCK):
         block = slice(begin, begin + BLOCK)
         first, count = starts[block], len(starts[block])
-        now = Labels(first, first, np.zeros(count, np.int64), truck[block], np.zeros(count))
+        now = Labels(first, first, np.zeros(count, np.int64), truck[block], np.zeros(count), speeds[first])
         known = np.zeros(0, np.int64)
         found: list[Labels] = []
         while len(now.node):
@@ -184,12 +189,13 @@ def search(
             known = np.sort(np.concatenate((known, rank[rows])))
             now = now.take(rows)
             found.append(now)
-            now = Labels.stack([now.take(rows[:0]), *(_followed(now, way, longest, budget) for way in ways)])
+            onward = (_followed(now, way, longest, budget, speeds) for way in ways)
+            now = Labels.stack([now.take(rows[:0]), *onward])
         labels = Labels.stack(found)
         yield labels.take(_leaders(ranks(labels, first[0]), ranks.group, known[:0]))
 
 
-def _followed(now: Labels, way: Transition, longest: float, budget: int) -> Labels:
+def _followed(now: Labels, way: Transition, longest: float, budget: int, speeds: FloatArray) -> Labels:
     change = now.change + way.change
     length = now.length + way.length[now.node]
     target = way.target[now.node]
@@ -200,6 +206,7 @@ def _followed(now: Labels, way: Transition, longest: float, budget: int) -> Labe
         change[rows],
         now.truck[rows] & way.truck[now.node[rows]],
         length[rows],
+        np.minimum(now.speed[rows], braked_to(speeds[target[rows]], length[rows])),
     )
 
 

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from phase_sumo.config import Regime
+from phase_sumo.sim.curve_speed import SIDEWAYS, lane_speeds
 from phase_sumo.sim.lane_graph import LaneGraph
 from phase_sumo.sim.lane_search import Labels, search, transitions
 
@@ -15,7 +16,7 @@ START_SPACING = 3.0  # m between sampled starts along a lane
 GOALS_PER_GROUP = 3  # goals per start, lane reached and lane-change count, spread over the path length
 LANE_CHANGE_TIME = 2.5  # s at the regime's base speed: the shortest stretch asked for a lane change
 SHORTEST_LANE_CHANGE = 15.0  # m
-LATERAL_ACCEL = 3.0  # m/s^2 at the regime's base speed: no path leads over nodes that are curved more tightly
+TIGHTEST = 1.0 / 12.0  # 1/m: no path leads over nodes that are curved more tightly
 TRUCK_UPSTREAM = 20.0  # m of road behind a truck's start
 
 
@@ -28,6 +29,8 @@ class StartGoalPool:
         path_length: [Q] float32, m, within the regime's D_min..D_max.
         lane_changes: [Q] int8, signed count c: left -1, right +1.
         truck: [Q] bool, every lane of the path allows trucks and a trailer fits behind the start.
+        start_speed: [Q] float32, m/s from which a car can brake for every curve on the way (`curve_speed`).
+        goal_speed: [Q] float32, the same for the curves from the goal on.
     """
 
     start: np.ndarray
@@ -35,6 +38,13 @@ class StartGoalPool:
     path_length: np.ndarray
     lane_changes: np.ndarray
     truck: np.ndarray
+    start_speed: np.ndarray
+    goal_speed: np.ndarray
+
+    @staticmethod
+    def empty() -> StartGoalPool:
+        kinds = (np.int32, np.int32, np.float32, np.int8, bool, np.float32, np.float32)
+        return StartGoalPool(*(np.zeros(0, kind) for kind in kinds))
 
     def arrays(self) -> dict[str, np.ndarray]:
         return {f.name: getattr(self, f.name) for f in fields(self)}
@@ -44,16 +54,17 @@ def build_pool(graph: LaneGraph, regime: Regime, max_lane_changes: int = 3, seed
     """Bounded search from sampled starts, then a few random goals in every lane and lane-change count found.
 
     A lane change is one transition that ends `lane_change_length` metres further on in the adjacent lane
-    and must stay allowed all the way. Nodes too tightly curved for the regime, v_base^2 curvature >
-    `LATERAL_ACCEL`, are left out. Pairs the map has no room for simply do not exist.
+    and must stay allowed all the way. Nodes that are curved more tightly than `TIGHTEST` are left out. Pairs
+    the map has no room for simply do not exist.
 
-    Cost and memory grow with the length of lane: per km some 3,300 pairs of 14 bytes, and a peak of 0.35 MB
+    Cost and memory grow with the length of lane: per km some 3,300 pairs of 22 bytes, and a peak of 0.35 MB
     while searching, lane graph included (measured on 117 km of three-lane freeway).
     """
     rng = np.random.default_rng(seed)
-    drivable = graph.bend * regime.base_speed**2 <= LATERAL_ACCEL
+    drivable = graph.bend <= TIGHTEST
     if not drivable.any():
-        return StartGoalPool(*(np.zeros(0, kind) for kind in (np.int32, np.int32, np.float32, np.int8, bool)))
+        return StartGoalPool.empty()
+    speeds = lane_speeds(graph, SIDEWAYS)[drivable]
     graph = graph.restricted(drivable)
     starts = _sample_starts(graph, rng)
     truck = graph.node_truck[starts] & (graph.node_upstream[starts] >= TRUCK_UPSTREAM)
@@ -61,8 +72,8 @@ def build_pool(graph: LaneGraph, regime: Regime, max_lane_changes: int = 3, seed
     low, high = regime.path_bounds
     bounds = np.linspace(low, high, GOALS_PER_GROUP + 1)
     pools = [
-        _goals(graph, labels, a, b, rng)
-        for labels in search(graph, starts, truck, ways, high, max_lane_changes)
+        _goals(graph, labels, a, b, speeds, rng)
+        for labels in search(graph, starts, truck, ways, high, max_lane_changes, speeds)
         for a, b in pairwise(bounds)
     ]
     pool = StartGoalPool(
@@ -86,7 +97,7 @@ def _sample_starts(graph: LaneGraph, rng: np.random.Generator) -> np.ndarray:
 
 
 def _goals(
-    graph: LaneGraph, labels: Labels, low: float, high: float, rng: np.random.Generator
+    graph: LaneGraph, labels: Labels, low: float, high: float, speeds: np.ndarray, rng: np.random.Generator
 ) -> StartGoalPool:
     """A random goal per label among the nodes of its lane at a path length of ``low`` to ``high`` metres."""
     spacing = graph.spacing[labels.node]
@@ -103,4 +114,6 @@ def _goals(
         path_length=length[chosen].astype(np.float32),
         lane_changes=labels.change[chosen].astype(np.int8),
         truck=labels.truck[chosen],
+        start_speed=labels.speed[chosen].astype(np.float32),
+        goal_speed=speeds[goal[chosen]].astype(np.float32),
     )

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from phase_sumo.config import Regime, ScenarioConfig, SimConfig
 from phase_sumo.errors import PhaseError
+from phase_sumo.sim.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK
 from phase_sumo.sim.dimensions import sample_shape
 from phase_sumo.sim.geometry import boxes_overlap
 from phase_sumo.sim.lane_graph import LaneGraph
@@ -49,7 +50,7 @@ class PairTable:
     """
 
     def __init__(self, tuples: list[tuple[LaneGraph, StartGoalPool]], device: torch.device | str) -> None:
-        nodes, starts, goals, first, counts = [], [], [], [], []
+        nodes, starts, goals, limits, first, counts = [], [], [], [], [], []
         node_offset = pair_offset = 0
         for graph, pool in tuples:
             nodes.append(
@@ -64,6 +65,9 @@ class PairTable:
                     lengths = np.ceil(pool.path_length[chosen]).astype(np.int64).clip(0, LONGEST_PATH)
                     starts.append(pool.start[chosen] + node_offset)
                     goals.append(pool.goal[chosen] + node_offset)
+                    limits.append(
+                        (pool.path_length[chosen], pool.start_speed[chosen], pool.goal_speed[chosen])
+                    )
                     first.append(pair_offset)
                     counts.append(np.searchsorted(lengths, np.arange(LONGEST_PATH + 1), side="right"))
                     pair_offset += len(chosen)
@@ -73,6 +77,9 @@ class PairTable:
         self.node = torch.from_numpy(np.concatenate(nodes)).to(device)
         self.start = torch.from_numpy(np.concatenate(starts)).long().to(device)
         self.goal = torch.from_numpy(np.concatenate(goals)).long().to(device)
+        self.length, self.start_speed, self.goal_speed = (
+            torch.from_numpy(np.concatenate(part)).to(device) for part in zip(*limits, strict=True)
+        )
         self.first = torch.tensor(first).view(-1, 2, 2).to(device)
         self.count = torch.from_numpy(np.stack(counts)).view(-1, 2, 2, LONGEST_PATH + 1).to(device)
 
@@ -145,8 +152,9 @@ def sample(
 ) -> Scenario:
     """Fresh agents for the worlds of ``tuple_index`` [B] (paper: Synthetic Scenario Generation, online).
 
-    v_init = v_base (1 + eps_init), v_goal = v_init (1 + eps_goal), alpha ~ U; starts and goals from the
-    pool, subject to collision checking; a slot whose every proposal collides stays empty.
+    v_init = v_base (1 + eps_init), v_goal = v_init (1 + eps_goal), alpha ~ U, where curves ask for no less;
+    starts and goals from the pool, subject to collision checking; a slot whose every proposal collides, or
+    is too long for the vehicle, stays empty.
 
     Args:
         tuple_index: [B] (map, regime) tuple of each world.
@@ -172,8 +180,8 @@ def sample(
     speed = (base * (1.0 + uniform(-spread, spread))).clamp(0.0, sim.max_speed)
     goal_speed = (speed * (1.0 + uniform(*config.goal_speed_bounds))).clamp(0.0, sim.max_speed)
     alpha = uniform(*config.alpha_bounds)
-    # a small alpha may never get faster than it began, so no more than that is counted on
-    longest = config.horizon_share * sim.horizon * sim.dt * 0.5 * (speed + torch.minimum(speed, goal_speed))
+    time = config.horizon_share * sim.horizon * sim.dt
+    longest = _way(speed, goal_speed, time)
 
     active = torch.zeros(size, dtype=torch.bool, device=device)
     pair = torch.zeros(size, dtype=torch.long, device=device)
@@ -183,11 +191,13 @@ def sample(
     for _ in range(PLACEMENT_ROUNDS):
         change = uniform() < change_ratio.unsqueeze(-1)
         proposal, exists = pairs.draw(tuples, change, shape.truck, longest, uniform())
-        proposed = _state_at(pairs, proposal, shape, speed, astray, generator)
+        begin, arrive = _slowed(pairs, proposal, shape.truck, speed, goal_speed)
+        proposed = _state_at(pairs, proposal, shape, begin, astray, generator)
         trial = proposed.where(~active, state)
         accepted = (
             wanted
             & exists
+            & (pairs.length[proposal] <= _way(begin, arrive, time))
             & ~active
             & ~_conflicts(shape, trial, braking_jerk * alpha, active, wanted, config)
         )
@@ -198,7 +208,24 @@ def sample(
             break
     goal_node = pairs.goal[pair]
     x, y, yaw, _ = pairs.node[goal_node].unbind(-1)
+    _, goal_speed = _slowed(pairs, pair, shape.truck, speed, goal_speed)
     return Scenario(shape, state, Task(x, y, yaw, goal_speed, alpha), active, goal_node)
+
+
+def _slowed(
+    pairs: PairTable, pair: Tensor, truck: Tensor, speed: Tensor, goal_speed: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The speeds at start and goal, less where the curves of a pair ask for it; trucks take them slower."""
+    share = torch.where(truck, (SIDEWAYS_TRUCK / SIDEWAYS) ** 0.5, 1.0)
+    return (
+        torch.minimum(speed, share * pairs.start_speed[pair]),
+        torch.minimum(goal_speed, share * pairs.goal_speed[pair]),
+    )
+
+
+def _way(speed: Tensor, goal_speed: Tensor, time: float) -> Tensor:
+    """Metres driven in ``time`` s; a small alpha may never get faster than it began, so that is not counted on."""
+    return 0.5 * time * (speed + torch.minimum(speed, goal_speed))
 
 
 def _state_at(

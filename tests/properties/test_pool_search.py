@@ -23,7 +23,7 @@ from phase_sumo.bridge.maps.network import read_network
 from phase_sumo.config import REGIMES, Regime
 from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
 from phase_sumo.sim.lanes import Lane, LaneNetwork
-from phase_sumo.sim.pool import LATERAL_ACCEL, TRUCK_UPSTREAM, StartGoalPool, build_pool, lane_change_length
+from phase_sumo.sim.pool import TIGHTEST, TRUCK_UPSTREAM, StartGoalPool, build_pool, lane_change_length
 
 W = 3.6
 BUDGET = 3
@@ -48,7 +48,7 @@ class SlowSearch:
             for nodes, steps in zip(graph.successor, graph.step, strict=True)
         ]
         self.sides = ((graph.left.tolist(), -1), (graph.right.tolist(), +1))
-        drivable = graph.bend * regime.base_speed**2 <= LATERAL_ACCEL
+        drivable = graph.bend <= TIGHTEST
         self.allowed = (drivable & (graph.node_truck | (not trucks))).tolist()
         self.longest, self.reach = regime.path_bounds[1], lane_change_length(regime)
         self.open = tuple(self._open(side) for side, _ in self.sides)
@@ -250,6 +250,6 @@ def test_a_weaving_section(regime):
 def test_real_and_shipped_networks(path, regime):
     graph = real_graph(path)
     pool, covered = check(graph, regime)
-    if (graph.bend * regime.base_speed**2 <= LATERAL_ACCEL).mean() > 0.9:
+    if (graph.bend <= TIGHTEST).mean() > 0.9:
         assert len(pool.start) > 100
     assert covered >= COVERED

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.fleet.curve_speed import BRAKING, FASTEST, WINDOW, exit_speeds, lane_speeds
+from phase_sumo.sim.curve_speed import BRAKING, FASTEST, WINDOW, exit_speeds, lane_speeds
 from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 

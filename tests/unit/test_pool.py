@@ -9,6 +9,7 @@ import pytest
 
 from phase_sumo.bridge.maps.network import read_network
 from phase_sumo.config import REGIMES, Regime
+from phase_sumo.sim.curve_speed import BRAKING, FASTEST, SIDEWAYS, curvature
 from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 from phase_sumo.sim.pool import (
@@ -23,7 +24,7 @@ from tests.conftest import straight_network
 from tests.small_nets import SmallNet, lanes_from
 
 W = 3.6
-JAMMED = REGIMES[0]
+JAMMED, DENSE = REGIMES[:2]
 BUDGET = 2
 State = tuple[int, int]  # node, signed lane changes
 
@@ -188,18 +189,46 @@ def test_a_lone_lane_however_short_has_a_pool(length):
     assert (len(pool.start) > 0) == (length > JAMMED.path_bounds[0])
 
 
-def test_no_path_leads_over_a_bend_too_tight_for_the_regime():
-    angle = np.linspace(0.0, np.pi / 2, 60)
-    bend = np.stack((80.0 * np.sin(angle), 80.0 - 80.0 * np.cos(angle)), -1)
-    points = np.concatenate(([[-200.0, 0.0]], bend, [[80.0, 280.0]]))
-    length = float(np.hypot(*np.diff(points, axis=0).T).sum())
-    graph = build_lane_graph(LaneNetwork("bend", (Lane("a_0", "a", points, 3.6, 30.0, length),), ()))
-    slow = build_pool(graph, JAMMED)  # 6.7 m/s: 0.6 m/s^2
-    fast = build_pool(graph, replace(JAMMED, base_speed=20.0))  # 5 m/s^2
+def bend(radius: float, turn: float = np.pi / 2) -> LaneGraph:
+    """200 m straight, an arc, 200 m straight; the straight before it is a lane of its own."""
+    angle = np.linspace(0.0, turn, 60)
+    arc = radius * np.stack((np.sin(angle), 1.0 - np.cos(angle)), -1)
+    end = arc[-1] + 200.0 * np.array([np.cos(turn), np.sin(turn)])
+    shapes = {"a": np.array([[-200.0, 0.0], [-20.0, 0.0]])}
+    shapes["b"] = np.concatenate(([[-20.0, 0.0]], arc, [end]))
+    lanes = tuple(
+        Lane(f"{edge}_0", edge, xy, 3.6, 30.0, float(np.hypot(*np.diff(xy, axis=0).T).sum()))
+        for edge, xy in shapes.items()
+    )
+    return build_lane_graph(LaneNetwork("bend", lanes, ((0, 1),)))
 
-    def through_the_bend(pool):
-        curved = np.abs(graph.node_curvature) > 0.01
-        return [bool(curved[a : b + 1].any()) for a, b in zip(pool.start, pool.goal, strict=True)]
 
-    assert any(through_the_bend(slow))
-    assert len(fast.start) and not any(through_the_bend(fast))
+def test_no_path_leads_over_a_bend_that_nobody_can_drive():
+    for radius, driven in ((8.0, False), (15.0, True), (80.0, True)):
+        graph = bend(radius, np.pi)
+        pool = build_pool(graph, JAMMED)
+        assert len(pool.start) > 50
+        middle = np.linalg.norm(graph.node_xy - radius, axis=1).argmin()
+        assert ((pool.start <= middle) & (pool.goal >= middle)).any() == driven
+
+
+@pytest.mark.parametrize("regime", [JAMMED, DENSE], ids=lambda regime: regime.name)
+@pytest.mark.parametrize("radius", [20.0, 80.0])
+def test_pairs_know_from_which_speed_their_curves_can_be_braked_for(radius, regime):
+    graph = bend(radius)
+    pool = build_pool(graph, regime)
+    xy = graph.node_xy.astype(float)
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))  # one lane goes on from the other
+    in_curve = np.minimum(np.sqrt(SIDEWAYS / np.maximum(curvature(graph), 1e-9)), FASTEST)
+
+    def slowest(first: int, last: int) -> float:
+        """From the curves between two nodes, each braked for by itself."""
+        way = along[first : last + 1] - along[first]
+        return float(np.sqrt(in_curve[first : last + 1] ** 2 + 2.0 * BRAKING * way).min())
+
+    ends = graph.lane_end[pool.goal]
+    assert (pool.goal > graph.lane_end[pool.start]).any()  # a curve behind the end of the lane counts
+    for node, speed in ((pool.start, pool.start_speed), (pool.goal, pool.goal_speed)):
+        wanted = [slowest(a, b) for a, b in zip(node.tolist(), ends.tolist(), strict=True)]
+        assert min(wanted) < 1.05 * np.sqrt(SIDEWAYS * radius) and max(wanted) == FASTEST
+        assert speed == pytest.approx(np.array(wanted), rel=1e-4)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.fleet.curve_speed import BRAKING, FASTEST
 from phase_sumo.bridge.fleet.goals import GOAL_BOUNDS, MAX_BULGE, GoalPlanner
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import (
@@ -18,6 +17,7 @@ from phase_sumo.bridge.fleet.route import (
     route_lanes,
 )
 from phase_sumo.bridge.fleet.table import VehicleTable
+from phase_sumo.sim.curve_speed import BRAKING, FASTEST
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 from tests.toy_motorway import W, lane, plan, put
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_sumo.bridge.fleet.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, curvature, lane_speeds
 from phase_sumo.bridge.fleet.route_views import RouteViews
 from phase_sumo.bridge.maps.road_lines import road_lines
+from phase_sumo.sim.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, curvature, lane_speeds
 from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.near import pairs_within

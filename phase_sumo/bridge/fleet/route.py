@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_sumo.bridge.fleet.curve_speed import FASTEST, braked_to, exit_speeds
 from phase_sumo.bridge.fleet.road import BoolArray, Road
+from phase_sumo.sim.curve_speed import FASTEST, braked_to, exit_speeds
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
