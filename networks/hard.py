@@ -1,9 +1,9 @@
-"""Networks that are harder to drive than a freeway should be: tight loop ramps, and roads with kinks.
+"""Networks that are harder to drive than a freeway should be: tight loops, winding ramps, roads with kinks.
 
     python networks/hard.py        # into networks/hard
 
-Real interchanges have loops of 25 to 35 m radius, and many a user's network is drawn as straight edges that
-meet at an angle. The result is the same on every run.
+Real interchanges have loops of 25 to 35 m radius and ramps of less, and many a user's network is drawn as
+straight edges that meet at an angle. The result is the same on every run.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def kinks(name: str, folder: Path) -> Path:
 
 
 def winding(rng: np.random.Generator, x: float, y: float, heading: float, length: float) -> Points:
-    """A ramp as maps hold it: arcs of 13 to 60 m radius and straights, as a line with corners 5 to 12 m apart."""
+    """A ramp as maps hold it: arcs of 13 to 60 m radius and straights, drawn with corners 5 to 12 m apart."""
     points, side, driven = [(x, y)], 1, 0.0
     while driven < length:
         radius = np.exp(rng.uniform(np.log(13), np.log(60)))
@@ -121,12 +121,13 @@ def ramps(name: str, folder: Path) -> Path:
     )
 
 
-def _write(output: Path, nodes: str, edges: str, options: dict[str, object]) -> Path:
+def _write(output: Path, nodes: str, edges: str, options: dict[str, str]) -> Path:
     with tempfile.TemporaryDirectory() as plain:
         paths = {kind: Path(plain) / f"{kind}.xml" for kind in ("nodes", "edges")}
         paths["nodes"].write_text(f"<nodes>{nodes}</nodes>")
         paths["edges"].write_text(f"<edges>{edges}</edges>")
-        run_netconvert({"node-files": paths["nodes"], "edge-files": paths["edges"]} | options, output)
+        files = {f"{kind[:-1]}-files": path for kind, path in paths.items()}
+        run_netconvert(files | options, output)
     return output
 
 

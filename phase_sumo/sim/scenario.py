@@ -224,7 +224,7 @@ def _slowed(
 
 
 def _way(speed: Tensor, goal_speed: Tensor, time: float) -> Tensor:
-    """Metres driven in ``time`` s; a small alpha may never get faster than it began, so that is not counted on."""
+    """Metres driven in ``time`` s; no speeding up is counted on, since a small alpha may never do so."""
     return 0.5 * time * (speed + torch.minimum(speed, goal_speed))
 
 

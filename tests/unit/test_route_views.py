@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import follow_lanes, route_lanes
@@ -89,9 +90,34 @@ def test_vehicles_see_their_route_at_the_fork_and_their_place_elsewhere(road):
     for name, x in (("a", 270.0), ("b", 270.0), ("sumo", 270.0)):
         put(table, name, x, 0.0, 10.0)
     seen = table.row_of
-    rows = road.views.seen(table, nodes(table, road), routes)
+    rows, _ = road.views.seen(table, nodes(table, road), routes)
     assert rows[[seen["b"], seen["sumo"]]].tolist() == [-1, -1]
     # the reference point, 4 m behind the bumper, is where the road is looked at from
     assert rows[seen["a"]] == view_from(road, ("in", "right"), IN, 266)
     off = np.full(len(table), -1)
-    assert (road.views.seen(table, off, routes) == -1).all()
+    assert (road.views.seen(table, off, routes)[0] == -1).all()
+
+
+def test_a_vehicle_over_the_line_does_not_see_the_oncoming_lane_as_its_own():
+    shapes = {
+        "on": ((0.0, 0.0), (400.0, 0.0)),
+        "back": ((400.0, 3.6), (0.0, 3.6)),
+        "far": ((0.0, 50.0), (400.0, 50.0)),
+    }
+    lanes = tuple(Lane(f"{edge}_0", edge, np.array(xy), 3.6, 30.0, 400.0) for edge, xy in shapes.items())
+    road = Road(LaneNetwork("two ways", lanes, ()))
+    assert (
+        route_lanes(road, ("far",), truck=False).view[2, 0]
+        == route_lanes(road, ("far",), truck=False).view[2, 1]
+    )
+    table = VehicleTable()
+    row = put(table, "a", 104.0, 0.0, 10.0)
+    routes = {"a": route_lanes(road, ("on",), truck=False)}
+    node = nodes(table, road)
+    table["y"][row] = 2.5
+    cell = road.map.cell(torch.zeros(1, dtype=torch.long), torch.tensor([[100.0]]), torch.tensor([[2.5]]))
+    assert float(road.map.cell_yaw[cell]) == pytest.approx(np.pi, abs=1e-3)  # the place is on the other lane
+    rows, yaw = road.views.seen(table, node, routes)
+    assert yaw[row] == pytest.approx(0.0, abs=1e-3)
+    x, y = centres(road, int(rows[row])).T
+    assert x.max() > 190.0 and (x > 99.0).all() and np.abs(y).max() < 0.1

@@ -54,7 +54,7 @@ class Controller:
         self._road, self._table, self._drivers, self._steps = road, table, drivers, steps
         self._speeds, self._planner = speeds, planner
         self._map_index = torch.zeros(1, dtype=torch.long)
-        self._view = torch.zeros(0, dtype=torch.long)
+        self._seen: list[Tensor] = []  # view and direction by route
         self.cpu = 0.0
         self.decisions = 0
 
@@ -85,7 +85,8 @@ class Controller:
                 if k:  # those of the first move were set when SUMO's step was followed
                     self._speeds.update(node, self._planner.beside(node), occupancy, members)
                 self._planner.update(now, node, occupancy, routes)
-                self._view = torch.from_numpy(self._road.views.seen(table, node, routes))
+                seen = self._road.views.seen(table, node, routes)
+                self._seen = [torch.from_numpy(values) for values in seen]
             self._move(rows, decides)
             node = self.track(node, rows)
             if k + 1 < steps.per_sumo_step:
@@ -130,8 +131,10 @@ class Controller:
         others = every.map(lambda values: values[0, index])
         road = self._road.map
         cell = road.cell(self._map_index, state.x.unsqueeze(0), state.y.unsqueeze(0)).squeeze(0)
-        view = torch.where(self._view[driven] >= 0, self._view[driven], road.cell_view[cell])
-        seen = observe(shape, state, task, others, mask, road, view, road.cell_yaw[cell], driver.sim)
+        by_route, yaw = (values[driven] for values in self._seen)
+        view = torch.where(by_route >= 0, by_route, road.cell_view[cell])
+        yaw = torch.where(by_route >= 0, yaw, road.cell_yaw[cell])
+        seen = observe(shape, state, task, others, mask, road, view, yaw, driver.sim)
         with torch.autocast("cpu", torch.bfloat16, enabled=BF16):
             tokens = driver.act(seen)
         jerk, rate = kinematics.command(tokens, state, task.alpha, driver.actions, driver.sim.dt)

@@ -1,8 +1,9 @@
-"""What vehicles see where a road forks: their own route.
+"""What vehicles see where a place does not tell which road is theirs: that along their own route.
 
 A place of the road map shows the road straight on from the lane nearest to it. Before a fork that may be the
-branch that a route does not take, and behind it, while the branches still lie over each other, too. There
-every route has views of its own, from the nodes of its lanes along its own way.
+branch that a route does not take, and behind it, while the branches still lie over each other, too; beside or
+over a road in another direction, that road. There every route has views of its own, from the nodes of its
+lanes along its own way.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.sim.lane_graph import LaneGraph
+from phase_sumo.sim.near import pairs_within
 from phase_sumo.sim.road_build import RoadLine, RoadPoints, road_points, view_rows
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.road_view import RoadView
@@ -26,8 +28,13 @@ if TYPE_CHECKING:
     from phase_sumo.bridge.fleet.route import RouteLanes
 
 IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float32]
 AHEAD = 100  # m before a fork from which the branch is in sight
 BEHIND = 60  # m behind a fork over which the branches may be taken for one another
+BESIDE = (
+    6.0  # m between the centres of lanes in different directions, up to which one may be taken for the other
+)
+SAME_WAY = 0.5  # cosine of the angle between directions that are the same
 GROWTH = 1.5  # of the table when it is full
 
 
@@ -47,6 +54,7 @@ class RouteViews:
         ways = graph.successor[self._last].astype(np.int64)
         self._straight = np.where(ways[:, 0] >= 0, graph.node_lane[ways[:, 0]], -1)
         self._forks = ways[:, 1] >= 0
+        self._contrary = self._beside_others()
         self._known: dict[tuple[int, ...], tuple[int, int, int]] = {}
         self._rows = len(road_map.view)
 
@@ -75,17 +83,19 @@ class RouteViews:
             self._add(np.concatenate([np.arange(*part) for part in missing]), route)
         return result
 
-    def seen(self, table: VehicleTable, node: IntArray, routes: dict[str, RouteLanes]) -> IntArray:
-        """Which row of the map's views each vehicle sees because of its route.
+    def seen(
+        self, table: VehicleTable, node: IntArray, routes: dict[str, RouteLanes]
+    ) -> tuple[IntArray, FloatArray]:
+        """Which row of the map's views each vehicle sees because of its route, and the way its lane points.
 
         Args:
             node: [N] node of each row's front bumper, -1 off the road.
             routes: of the vehicles under the policy.
 
         Returns:
-            [N] row, -1 where the place shows the road.
+            [N] row, -1 where the place shows the road, and [N] rad where it does not.
         """
-        result = np.full(len(node), -1)
+        result, yaw = np.full(len(node), -1), np.zeros(len(node), np.float32)
         rows = np.array([table.row_of[vehicle] for vehicle in routes], np.int64)
         views = [route.view for route in routes.values()]
         on = np.flatnonzero(node[rows] >= 0)
@@ -96,12 +106,13 @@ class RouteViews:
         own = [views[k][i] for k, i in zip(on.tolist(), lane, strict=True)]
         first, end, row = np.array(own, np.int64).reshape(-1, 3).T
         result[rows] = np.where((at >= first) & (at < end), row + at - first, -1)
-        return result
+        yaw[rows] = self._graph.node_yaw[at]
+        return result, yaw
 
     def _parts(
         self, onward: IntArray, lanes: IntArray
     ) -> Iterator[tuple[int, tuple[int, ...], tuple[int, int]]]:
-        """Lanes with the lanes that follow within sight, and their nodes [first, end) near forks."""
+        """Lanes with the lanes that follow within sight, and their nodes [first, end) with own views."""
         behind = self._behind(onward, lanes)
         for lane in lanes.tolist():
             first, count = int(self._first[lane]), int(self._count[lane])
@@ -113,12 +124,24 @@ class RouteViews:
                 at = int(onward[at])
                 ahead.append(at)
                 metres += int(self._count[at])
-            begin = max(count - (AHEAD - turns), 0) if turns < AHEAD else count
-            end = count if turns < AHEAD else 0
+            begin, end = self._contrary[lane].tolist()
+            if turns < AHEAD:
+                begin, end = min(begin, max(count - (AHEAD - turns), 0)), count
             if behind[lane] < BEHIND:
                 begin, end = 0, max(end, min(count, BEHIND - behind[lane]))
             if begin < end:
                 yield lane, tuple(ahead), (first + begin, first + end)
+
+    def _beside_others(self) -> IntArray:
+        """[L, 2] first and end of each lane's nodes beside lanes in another direction, else count, 0."""
+        graph = self._graph
+        node, other = pairs_within(graph.node_xy, graph.node_xy, BESIDE)
+        node = node[np.cos(graph.node_yaw[node] - graph.node_yaw[other]) < SAME_WAY]
+        lane = graph.node_lane[node]
+        result = np.stack((self._count, np.zeros_like(self._count)), 1)
+        np.minimum.at(result[:, 0], lane, node - self._first[lane])
+        np.maximum.at(result[:, 1], lane, node - self._first[lane] + 1)
+        return result
 
     def _behind(self, onward: IntArray, lanes: IntArray) -> dict[int, int]:
         """Metres from the last fork to each lane's begin, at least `BEHIND` for none."""
