@@ -31,7 +31,11 @@ REAL = ROOT.parent / "shared" / "nets"  # real networks that are not shipped
 A10 = Path(sumo.SUMO_HOME) / "tools" / "game" / "A10KW" / "osm.net.xml"
 SHIPPED = [*(ROOT / "networks").rglob("*.net.xml"), *(ROOT / "scenarios").rglob("*.net.xml")]
 FILES = sorted(SHIPPED) + sorted(REAL.rglob("*.net.xml")) + [A10]
-HAIRPINS = {"us_baltimore_01.net.xml": 0.3}  # rad/m: an exit ends in a corner of 110 degrees within 12 m
+HAIRPINS = {  # rad/m
+    "us_baltimore_01.net.xml": 0.3,  # an exit ends in a corner of 110 degrees within 12 m
+    "f27_ramps1.net.xml": 0.2,  # curves of 13 m radius, drawn with few corners
+    "f28_ramp2.net.xml": 0.2,
+}
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*grid squares see more than:UserWarning")
 
