@@ -188,7 +188,7 @@ def test_every_regime_finds_pairs_with_and_without_lane_changes(road, regime):
     drivable = graph.bend <= TIGHTEST
     if drivable.mean() > 0.9:
         assert (pool.lane_changes == 0).sum() > 100
-        assert (pool.lane_changes != 0).sum() > 100
+        assert (pool.lane_changes != 0).sum() > 100 or (graph.left < 0).all()
     assert drivable[pool.start].all() and drivable[pool.goal].all()
     low, high = regime.path_bounds
     assert ((pool.path_length >= low) & (pool.path_length <= high)).all()
