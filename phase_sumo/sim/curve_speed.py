@@ -1,4 +1,6 @@
-"""How fast the curves ahead can be driven: SUMO's limits say nothing of them, nor do its own cars care.
+"""How fast the curves ahead can be driven, by the vehicles of training scenarios and those in SUMO alike.
+
+SUMO's limits say nothing of curves, nor do its own cars care.
 
 On the way to a slower place s m ahead, v^2 = v_place^2 + 2 b s with b = `BRAKING`.
 """

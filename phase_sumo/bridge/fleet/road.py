@@ -29,7 +29,7 @@ class Road:
     """A lane network with its graph; nodes are about 1 m apart, so node counts stand for metres.
 
     Attributes:
-        network, graph, map: lanes, lane graph, road map of them.
+        network, graph, map: lanes, lane graph, road map of them, which grows with the routes' ``views``.
         first, count: [L] node range of each lane.
         metres: [L] geometric length.
         edges: ids of the edges that PHASE may drive on, at first all whose lanes are kept and nowhere turn in
