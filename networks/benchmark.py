@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from phase_sumo.bridge.maps.convert import build_bundle
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.evaluate import benchmark
 
 HELD_OUT = Path(__file__).resolve().parent / "held_out"

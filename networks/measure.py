@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_sumo.bridge.maps.net_xml import parse_net
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
 

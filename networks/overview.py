@@ -21,9 +21,9 @@ sys.path.append(str(HERE.parent))
 
 from networks.readme import fill, network_table  # noqa: E402
 from networks.specs import SPECS  # noqa: E402
-from phase_sumo.bridge.maps.lines import normals  # noqa: E402
-from phase_sumo.bridge.maps.network import read_network  # noqa: E402
+from phase_sumo.bridge.maps.line_geometry import normals  # noqa: E402
 from phase_sumo.bridge.maps.road_lines import lane_boundaries, road_edges  # noqa: E402
+from phase_sumo.bridge.maps.sumo_network import read_network  # noqa: E402
 from phase_sumo.sim.lanes import Lane, LaneNetwork  # noqa: E402
 from phase_sumo.sim.road_map import RoadKind  # noqa: E402
 

@@ -10,7 +10,7 @@ import csv
 from pathlib import Path
 
 from phase_sumo.bridge.maps.convert import build_bundle
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import REGIMES
 from phase_sumo.sim.tuples import map_regime_tuples
 

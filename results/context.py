@@ -17,13 +17,13 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from phase_sumo.bridge.maps.convert import build_bundle
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import SimConfig
 from phase_sumo.evaluate.fixed_worlds import Start, drive, policy_driver
 from phase_sumo.evaluate.steering.outcomes import SHAPES, Kind
 from phase_sumo.policy.checkpoint import load_policy
+from phase_sumo.report.render_road import draw_road, turned
 from phase_sumo.sim.bundle import MapBundle
-from phase_sumo.sim.render_road import draw_road, turned
 from phase_sumo.sim.vehicles import HISTORY, Task, VehicleShape, VehicleState, boxes
 
 matplotlib.use("Agg")

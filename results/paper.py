@@ -14,13 +14,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from phase_sumo.bridge.rollout.protocol import evaluate_logs
-from phase_sumo.bridge.rollout.realism import realism
 from phase_sumo.cli.files import held_out_maps, progress_bar, write_json
 from phase_sumo.config import REGIMES
 from phase_sumo.evaluate.benchmark import load_benchmark, run_benchmark
 from phase_sumo.evaluate.fixed_worlds import policy_driver
 from phase_sumo.policy.checkpoint import SHIPPED, load_policy
+from phase_sumo.report.cluster_figure import cluster_figure
+from phase_sumo.studies.log_protocol import evaluate_logs
+from phase_sumo.studies.realism import realism
 
 HERE = Path(__file__).resolve().parent
 MODELS = ("phase", "idm")
@@ -55,7 +56,9 @@ def measure(logs: list[str], out: Path) -> dict[str, Any]:
                 found["zero_shot"] |= {name: result} | references
     if logs:
         with progress_bar("realism") as progress:
-            found["realism"] = realism(logs, MODELS, out, progress=progress) | {"logs": names}
+            found["realism"] = realism(logs, MODELS, out, draw=cluster_figure, progress=progress) | {
+                "logs": names
+            }
     return found
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from phase_sumo.evaluate.logs.recording import Recording
-from phase_sumo.evaluate.logs.roads import Carriageway, straight_road
-from phase_sumo.evaluate.logs.sampling import path_speed
+from phase_sumo.logs.recorded_roads import Carriageway, straight_road
+from phase_sumo.logs.recording import Recording
+from phase_sumo.logs.sampling import path_speed
 
 CENTRES = np.array([0.0, 3.6, 7.2])  # y of the lanes, from right to left
 ROAD = straight_road("straight", [Carriageway("road", -10.0, 1000.0, CENTRES, np.full(3, 3.6))])

@@ -17,7 +17,7 @@ from phase_sumo.bridge.fleet.drivers import Driver, Drivers
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.fleet import Fleet
 from phase_sumo.bridge.fleet.scene import Scene
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.bridge.outputs.trailers import Trailers
 from phase_sumo.bridge.sumo.options import check_options
 from phase_sumo.bridge.sumo.session import Simulation

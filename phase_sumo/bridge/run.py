@@ -18,11 +18,11 @@ from phase_sumo.bridge.fleet.scene import Trip
 from phase_sumo.bridge.live import PhaseFleet
 from phase_sumo.bridge.outputs.recorder import Recorder
 from phase_sumo.bridge.outputs.sumo_outputs import OUTPUTS, SumoOutputs
-from phase_sumo.bridge.signals import held_signals
 from phase_sumo.bridge.sumo.demand import sumo_model
 from phase_sumo.bridge.sumo.options import command, read_scenario
 from phase_sumo.bridge.sumo.session import Session, Simulation
 from phase_sumo.policy.checkpoint import load_policy
+from phase_sumo.signals import held_signals
 
 Progress = Callable[[float, str], None]
 OURS = ("result.json", "events.csv", "trips.csv", "trajectories.npz")  # what we write into an output folder

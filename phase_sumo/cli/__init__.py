@@ -8,8 +8,8 @@ from pathlib import Path
 
 from phase_sumo.cli.files import write_json
 from phase_sumo.cli.parser import FLAGS, make_parser
-from phase_sumo.cli.stop import interrupt
 from phase_sumo.errors import PhaseError
+from phase_sumo.signals import handled, interrupt
 
 DEVICE = "--device.phase."
 
@@ -19,11 +19,11 @@ def main(argv: list[str] | None = None) -> int:
     arguments, sumo_options = _split(sys.argv[1:] if argv is None else argv)
     args = make_parser().parse_args(arguments)
     args.sumo_options = sumo_options
-    signal.signal(signal.SIGTERM, interrupt)
     try:
-        result = args.command(args)
-        if args.json:
-            write_json(Path(args.json), result)
+        with handled([signal.SIGTERM], interrupt):
+            result = args.command(args)
+            if args.json:
+                write_json(Path(args.json), result)
     except PhaseError as error:
         if args.debug:
             raise

@@ -9,19 +9,20 @@ from pathlib import Path
 from typing import Any
 
 from phase_sumo.cli.files import DEMO, HELD_OUT, find_files, load_maps, progress_bar
-from phase_sumo.cli.stop import stop_signals
 from phase_sumo.cli.train_view import train_view
 from phase_sumo.errors import PhaseError
+from phase_sumo.signals import stop_signals
 
 DEMO_MEASURES = ("mean_speed", "travel_time", "flow", "collisions_per_1000km", "lane_changes_per_km")
 
 
 def convert(args: argparse.Namespace) -> Any:
     from phase_sumo.bridge.maps import convert as converter
+    from phase_sumo.report.map_picture import draw_map
 
     with progress_bar("convert") as progress:
         rows = converter.convert(
-            args.networks, args.out, progress, args.keep, args.seed, args.stretch, args.left_hand
+            args.networks, args.out, progress, args.keep, args.seed, args.stretch, args.left_hand, draw_map
         )
     for row in rows:
         cut = f" in {row['stretches']} stretches" if row["stretches"] > 1 else ""
@@ -125,7 +126,8 @@ def run(args: argparse.Namespace) -> Any:
 
 
 def compare(args: argparse.Namespace) -> Any:
-    from phase_sumo.bridge.comparison import compare as comparison
+    from phase_sumo.report.comparison_page import write_report
+    from phase_sumo.studies import compare as comparison
 
     with progress_bar("compare") as progress:
         result = comparison.compare(
@@ -143,6 +145,7 @@ def compare(args: argparse.Namespace) -> Any:
             end=args.end,
             sumo_options=args.sumo_options,
             jobs=args.jobs,
+            write_report=write_report,
             progress=progress,
         )
     print(f"report: {result['report']}")
@@ -150,14 +153,20 @@ def compare(args: argparse.Namespace) -> Any:
 
 
 def demo(args: argparse.Namespace) -> Any:
-    from phase_sumo.bridge.comparison import compare as comparison
+    from phase_sumo.report.comparison_page import write_report
+    from phase_sumo.studies import compare as comparison
 
     if not DEMO.exists():
         raise PhaseError(f"{DEMO}: the demo scenario comes with a clone of the project; run it from one")
     print("PHASE against SUMO's IDM on a three-lane motorway with an on-ramp and an off-ramp")
     with progress_bar("demo") as progress:
         result = comparison.compare(
-            DEMO, ("phase", "idm"), out_dir=args.out, seeds=[args.seed], progress=progress
+            DEMO,
+            ("phase", "idm"),
+            out_dir=args.out,
+            seeds=[args.seed],
+            write_report=write_report,
+            progress=progress,
         )
     for name in DEMO_MEASURES:
         means = {model: summary[name]["mean"] for model, summary in result["summary"].items()}
@@ -172,8 +181,8 @@ def demo(args: argparse.Namespace) -> Any:
 def bench(args: argparse.Namespace) -> Any:
     import torch
 
-    from phase_sumo import bench as measure
     from phase_sumo.config import TrainConfig
+    from phase_sumo.studies import bench as measure
 
     torch.set_num_threads(args.threads)
     networks = args.networks or [str(HELD_OUT)]

@@ -22,7 +22,7 @@ SUMMARY = ("mean", "std", "low", "high")
 
 def evaluate(args: argparse.Namespace) -> Any:
     """One family of sources at a time: worlds of our own, or recorded traffic."""
-    from phase_sumo.evaluate.logs.sources import READERS
+    from phase_sumo.logs.sources import READERS
 
     kinds = {source.partition(":")[0] for source in args.scenarios}
     for source in args.scenarios:
@@ -69,8 +69,8 @@ def _synthetic(args: argparse.Namespace) -> Any:
 
 
 def _logs(args: argparse.Namespace) -> Any:
-    from phase_sumo.bridge.rollout.protocol import evaluate_logs
     from phase_sumo.policy.checkpoint import load_policy
+    from phase_sumo.studies.log_protocol import evaluate_logs
 
     with progress_bar("evaluate") as progress:
         result = evaluate_logs(
@@ -151,13 +151,13 @@ def _benchmark(args: argparse.Namespace) -> Any:
 
 
 def steer(args: argparse.Namespace) -> Any:
-    from phase_sumo.bridge.steering_figure import draw_steering, write_steering
     from phase_sumo.evaluate.benchmark import load_benchmark
     from phase_sumo.evaluate.fixed_worlds import policy_driver
     from phase_sumo.evaluate.steering.egos import choose_egos
     from phase_sumo.evaluate.steering.outcomes import Stage
     from phase_sumo.evaluate.steering.response import measure_steering
     from phase_sumo.policy.checkpoint import load_policy
+    from phase_sumo.report.steering_figure import draw_steering, write_steering
 
     policy, maps, out = load_policy(args.policy), held_out_maps(), Path(args.out)
     benchmark = load_benchmark(maps)
@@ -186,8 +186,8 @@ def search(args: argparse.Namespace) -> Any:
     from dataclasses import asdict
     from hashlib import sha256
 
-    from phase_sumo.bridge import search as encounters
     from phase_sumo.policy.checkpoint import load_policy, policy_bytes
+    from phase_sumo.studies import search as encounters
 
     policy, out = load_policy(args.policy), Path(args.out)
     scene = encounters.read_scene(args.cfg, policy, args.time, args.around, args.radius, args.seed)
@@ -216,7 +216,8 @@ def search(args: argparse.Namespace) -> Any:
 
 
 def realism(args: argparse.Namespace) -> Any:
-    from phase_sumo.bridge.rollout.realism import realism as compare
+    from phase_sumo.report.cluster_figure import cluster_figure
+    from phase_sumo.studies.realism import realism as compare
 
     with progress_bar("realism") as progress:
         result = compare(
@@ -228,6 +229,7 @@ def realism(args: argparse.Namespace) -> Any:
             seconds=args.seconds,
             most=args.windows,
             seed=args.seed,
+            draw=cluster_figure,
             progress=progress,
         )
     print(

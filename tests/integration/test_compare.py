@@ -9,13 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from phase_sumo.bridge.comparison.compare import compare
-from phase_sumo.bridge.comparison.emissions import emission_tables
 from phase_sumo.bridge.run import run_scenario
+from phase_sumo.bridge.sumo.emission_tables import emission_tables
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.emissions import emitted
 from phase_sumo.evaluate.traffic import delay
 from phase_sumo.evaluate.trajectories import Trajectories
+from phase_sumo.report.comparison_page import write_report
+from phase_sumo.studies.compare import compare
 from tests.standin import Standin
 
 NETWORK = Path(__file__).parents[2] / "networks" / "f04_onramp3.net.xml"
@@ -55,6 +56,7 @@ def compared(scenario, tmp_path_factory):
         seeds=2,
         end=25,
         jobs=2,
+        write_report=write_report,
         progress=lambda fraction, text: texts.append((fraction, text)),
     )
     return out, result, texts

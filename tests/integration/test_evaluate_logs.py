@@ -8,9 +8,9 @@ from collections import Counter
 
 import pytest
 
-from phase_sumo.bridge.rollout import protocol
 from phase_sumo.cli import main
-from phase_sumo.evaluate.logs.windows import windows
+from phase_sumo.logs.windows import windows
+from phase_sumo.studies import log_protocol
 from tests.log_files import write_commonroad, write_levelx, write_tracks
 from tests.small_nets import SmallNet, lanes_from
 from tests.steady_recordings import recording
@@ -76,7 +76,7 @@ def test_sources_of_both_families_are_refused(tmp_path, capsys):
 
 
 def test_recordings_without_a_lane_change_name_the_remedy(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("phase_sumo.bridge.rollout.protocol.windows", lambda recording, **kwargs: [])
+    monkeypatch.setattr("phase_sumo.studies.log_protocol.windows", lambda recording, **kwargs: [])
     tracks = write_tracks(tmp_path / "tracks.csv")
     assert main(["evaluate", "--scenarios", f"tracks:{tracks}"]) != 0
     assert "--all-windows" in capsys.readouterr().err
@@ -85,10 +85,10 @@ def test_recordings_without_a_lane_change_name_the_remedy(tmp_path, capsys, monk
 def test_no_more_windows_are_held_than_are_asked_for(monkeypatch):
     made = [recording([(20.0, 0, 5.0), (60.0, 1, 5.5)], samples=301, name=f"r{k}") for k in range(6)]
     cut = {r.name: windows(r, lane_changes_only=False) for r in made}
-    monkeypatch.setattr(protocol, "windows", lambda r, **_: cut[r.name])
+    monkeypatch.setattr(log_protocol, "windows", lambda r, **_: cut[r.name])
 
     def drawn(most: int, seed: int) -> list[tuple[str, float]]:
-        found = protocol._windows(made, True, most, seed, lambda share, text: None)
+        found = log_protocol._windows(made, True, most, seed, lambda share, text: None)
         return [(w.recording.name, float(w.recording.x[0, w.begin])) for w in found]
 
     every = drawn(99, 0)
@@ -111,5 +111,5 @@ def test_one_recording_is_in_memory_at_a_time():
             yield made
             del made
 
-    assert len(protocol._windows(recordings(), True, 9, 0, lambda share, text: None)) == len(held) == 3
+    assert len(log_protocol._windows(recordings(), True, 9, 0, lambda share, text: None)) == len(held) == 3
     assert not any(other() for other in held)

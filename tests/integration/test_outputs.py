@@ -14,10 +14,10 @@ import sumolib
 import torch
 from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 
-from phase_sumo.bridge.comparison.emissions import emission_tables
 from phase_sumo.bridge.fleet import fleet
 from phase_sumo.bridge.fleet.event_log import read_events, under_policy
 from phase_sumo.bridge.run import run_scenario
+from phase_sumo.bridge.sumo.emission_tables import emission_tables
 from tests.standin import Standin
 
 NETWORK = Path(__file__).parents[2] / "networks" / "f04_onramp3.net.xml"

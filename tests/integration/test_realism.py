@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from phase_sumo import cli
-from phase_sumo.bridge.rollout import realism as command
 from phase_sumo.errors import PhaseError
+from phase_sumo.report.cluster_figure import cluster_figure
+from phase_sumo.studies import realism as command
 from tests.standin import Standin
 
 
@@ -30,7 +31,7 @@ def log(tmp_path_factory):
 
 def test_from_log_to_table(log, tmp_path, monkeypatch):
     monkeypatch.setattr(command, "TRAINING_STEPS", 3)
-    result = command.realism([log], ["phase", "idm"], tmp_path, policy=Standin(), most=2)
+    result = command.realism([log], ["phase", "idm"], tmp_path, policy=Standin(), most=2, draw=cluster_figure)
     assert result["encoder"]["recordings"] == ("made/a",)
     assert result["recordings"] == ["made/b"]
     assert (result["windows"], result["trajectories"]) == (2, 24)

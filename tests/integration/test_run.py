@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from phase_sumo.bridge.processes import run_all
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.bridge.sumo.session import Session
 from phase_sumo.cli import main
 from phase_sumo.errors import PhaseError
+from phase_sumo.studies.processes import run_all
 from tests.standin import Standin
 
 NETWORK = Path(__file__).parents[2] / "networks" / "f04_onramp3.net.xml"

@@ -8,7 +8,7 @@ import pytest
 
 from phase_sumo import load_policy
 from phase_sumo.bridge.maps.convert import build_bundle
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import TrainConfig
 from phase_sumo.evaluate.synthetic import evaluate_synthetic
 from phase_sumo.sim.bundle import MapBundle

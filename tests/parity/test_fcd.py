@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from tests.parity.recording import Recording, record
 from tests.parity.scenes import NETWORKS, SCENE, write_scenario
 from tests.standin import Standin

@@ -11,7 +11,7 @@ import torch
 from phase_sumo.bridge.fleet import adoption
 from phase_sumo.bridge.fleet.choice import Choice
 from phase_sumo.bridge.fleet.table import STATE
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.bridge.sumo.conventions import yaw_from_angle
 from phase_sumo.sim.observation import Observation
 from tests.parity.recording import Recording, SumoStep, record

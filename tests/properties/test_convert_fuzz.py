@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.bridge.maps.lane_position import LanePositions
-from phase_sumo.bridge.maps.network import read_network
 from phase_sumo.bridge.maps.stretches import cut
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.errors import PhaseError
 from tests.small_nets import SmallNet, lanes_from
 

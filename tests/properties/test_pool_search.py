@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 import sumo
 
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import REGIMES, Regime
 from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
 from phase_sumo.sim.lanes import Lane, LaneNetwork

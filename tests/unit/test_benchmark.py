@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from phase_sumo.bridge.maps.convert import build_bundle
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import ActionConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate import benchmark

@@ -101,7 +101,7 @@ def test_importing_the_package_does_not_import_torch():
 
 
 def test_the_demo_shows_measures_that_a_comparison_has():
-    from phase_sumo.bridge.comparison.compare import ALL_MEASURES
     from phase_sumo.cli.commands import DEMO_MEASURES
+    from phase_sumo.studies.compare import ALL_MEASURES
 
     assert set(DEMO_MEASURES) <= set(ALL_MEASURES)

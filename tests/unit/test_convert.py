@@ -15,6 +15,7 @@ from phase_sumo.bridge.maps.convert import convert
 from phase_sumo.cli import main
 from phase_sumo.config import REGIMES
 from phase_sumo.errors import PhaseError
+from phase_sumo.report.map_picture import draw_map
 from phase_sumo.sim.bundle import MapBundle, load_bundle, save_bundle
 from phase_sumo.sim.road_map import RoadKind
 from tests.small_nets import SmallNet, lanes_from
@@ -45,7 +46,12 @@ def converted(tmp_path_factory) -> tuple[Path, list[dict], list[tuple[float, str
     folder = tmp_path_factory.mktemp("converted")
     source = small_net().write(folder / "small.net.xml")
     calls: list[tuple[float, str]] = []
-    rows = convert([source], folder / "out", progress=lambda share, name: calls.append((share, name)))
+    rows = convert(
+        [source],
+        folder / "out",
+        progress=lambda share, name: calls.append((share, name)),
+        draw=draw_map,
+    )
     return folder / "out", rows, calls
 
 
@@ -90,6 +96,7 @@ def test_a_bundle_survives_the_disk(tmp_path, straight_map):
 def test_converting_twice_gives_the_same_bundle(converted, tmp_path):
     folder, _, _ = converted
     convert([small_net().write(tmp_path / "small.net.xml")], tmp_path / "again")
+    assert not (tmp_path / "again" / "small.png").exists()  # none was asked for
     assert_same(load_bundle(folder / "small.npz"), load_bundle(tmp_path / "again" / "small.npz"))
 
 

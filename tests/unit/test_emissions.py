@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sumolib
 
-from phase_sumo.bridge.comparison.emissions import emission_tables
+from phase_sumo.bridge.sumo.emission_tables import emission_tables
 from phase_sumo.evaluate.emissions import EmissionTable, emitted
 from tests.trajectories import make
 

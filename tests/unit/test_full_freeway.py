@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from phase_sumo.bench import bench_full_freeway
-from phase_sumo.bridge.full_freeway import write_full_freeway
-from phase_sumo.bridge.stopwatch import PARTS
 from phase_sumo.bridge.sumo.session import Session
 from phase_sumo.errors import PhaseError
+from phase_sumo.studies.bench import bench_full_freeway
+from phase_sumo.studies.full_freeway import write_full_freeway
+from phase_sumo.studies.stopwatch import PARTS
 
 
 def test_all_vehicles_drive_from_the_first_step_to_the_last_one_measured(tmp_path):

@@ -10,7 +10,7 @@ import sumo
 import sumolib
 
 from phase_sumo.bridge.maps.geo import NetProjection
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.lanes import GeoReference
 from tests.small_nets import SmallNet, lanes_from

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from phase_sumo.bridge.comparison.models import Model, label, parse_models
 from phase_sumo.errors import PhaseError
+from phase_sumo.studies.driver_models import Model, label, parse_models
 
 
 def test_mixed_shares_drive_among_the_first_sumo_model():

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from shapely.geometry import LineString, Point
 
-from phase_sumo.bridge.maps.lines import arc_length
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.line_geometry import arc_length
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 from tests.small_nets import SmallNet, lanes_from

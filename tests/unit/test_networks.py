@@ -24,8 +24,8 @@ from networks.hard import generate as generate_hard
 from networks.traffic import run_sumo
 from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.bridge.maps.net_xml import parse_net
-from phase_sumo.bridge.maps.network import read_network
 from phase_sumo.bridge.maps.road_lines import road_edges
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import REGIMES
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.lanes import LaneNetwork

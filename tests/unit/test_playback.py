@@ -11,12 +11,12 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.comparison import playback
-from phase_sumo.bridge.comparison.pictures import View
+from phase_sumo.report import playback
+from phase_sumo.report.road_pictures import View
 from tests.unit.test_report import drive, network  # noqa: F401  # a fixture
 
 NODE = shutil.which("node")
-PLAYER = str(files("phase_sumo.bridge.comparison") / "templates" / "playback.js")
+PLAYER = str(files("phase_sumo.report") / "templates" / "playback.js")
 SCRIPT = """
 const player = require(process.argv[2]);
 const film = JSON.parse(require("fs").readFileSync(0, "utf8"));

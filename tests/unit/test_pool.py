@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import REGIMES, Regime
 from phase_sumo.sim.curve_speed import BRAKING, FASTEST, SIDEWAYS, curvature
 from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph

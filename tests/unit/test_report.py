@@ -8,18 +8,18 @@ import re
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.comparison import pictures, plots
-from phase_sumo.bridge.comparison.analysis import PHASE_MEASURES, Analysis
-from phase_sumo.bridge.comparison.models import is_phase
-from phase_sumo.bridge.comparison.plots import colours
-from phase_sumo.bridge.comparison.report import write_report
 from phase_sumo.evaluate.corridor import find_corridor, speed_profile
 from phase_sumo.evaluate.curves import curves
 from phase_sumo.evaluate.edie import edie_cells
 from phase_sumo.evaluate.following import following
 from phase_sumo.evaluate.measures import MEASURES
 from phase_sumo.evaluate.trajectories import Trajectories
+from phase_sumo.report import plots, road_pictures
+from phase_sumo.report.comparison_page import write_report
+from phase_sumo.report.plots import colours
 from phase_sumo.sim.lanes import Lane, LaneNetwork
+from phase_sumo.studies.driver_models import is_phase
+from phase_sumo.studies.run_analysis import PHASE_MEASURES, Analysis
 
 
 @pytest.fixture(scope="module")
@@ -151,14 +151,14 @@ def test_collisions_name_place_pair_and_fault(tmp_path, network):
 
 
 def test_view_lies_on_the_road_and_along_it(network):
-    view = pictures.best_view(network, drive(True))
+    view = road_pictures.best_view(network, drive(True))
     assert view.x == pytest.approx(200.0)
     assert view.yaw == pytest.approx(0.0)
-    assert 0.0 <= pictures.best_time([drive(True)], view) <= 15.0
+    assert 0.0 <= road_pictures.best_time([drive(True)], view) <= 15.0
 
 
 def test_vehicle_boxes_have_their_size_and_place():
-    box = pictures._boxes(
+    box = road_pictures._boxes(
         np.array([10.0]), np.array([0.0]), np.array([np.pi / 2]), *(np.array([v]) for v in (-1, 4, 2))
     )[0]
     np.testing.assert_allclose(sorted(box[:, 1]), [-1, -1, 4, 4], atol=1e-12)
@@ -167,5 +167,5 @@ def test_vehicle_boxes_have_their_size_and_place():
 
 def test_phase_and_the_first_sumo_model_keep_their_colours():
     found = colours(["phase:0.5", "krauss", "phase", "idm"])
-    assert (found["phase"], found["krauss"]) == (pictures.PHASE, pictures.SUMO)
+    assert (found["phase"], found["krauss"]) == (road_pictures.PHASE, road_pictures.SUMO)
     assert len(set(found.values())) == 4

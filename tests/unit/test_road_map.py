@@ -10,8 +10,8 @@ import shapely
 import torch
 from shapely.geometry import LineString, MultiLineString, Point
 
-from phase_sumo.bridge.maps.network import read_network
 from phase_sumo.bridge.maps.road_lines import road_edges, road_lines
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import ScenarioConfig
 from phase_sumo.sim.bundle import MapBundle, bundle_key, load_if_current, save_bundle
 from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph

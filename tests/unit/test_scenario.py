@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from phase_sumo.bridge.maps.convert import build_bundle
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import REGIMES, ScenarioConfig, SimConfig
 from phase_sumo.sim.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, curvature
 from phase_sumo.sim.scenario import PairTable, RegimeTable, Scenario, sample

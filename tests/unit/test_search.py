@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from phase_sumo.bridge.run import run_scenario
-from phase_sumo.bridge.scenario_export import SceneVehicle, write_scene
-from phase_sumo.bridge.search import Scene, Search, encounter, export, replay
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.trajectories import Trajectories
+from phase_sumo.studies.scenario_export import SceneVehicle, write_scene
+from phase_sumo.studies.search import Scene, Search, encounter, export, replay
 from tests.scenario_files import RAMP_NET
 from tests.standin import Standin
 from tests.trajectories import make

@@ -7,7 +7,8 @@ import threading
 
 import pytest
 
-from phase_sumo.bridge.signals import held_signals
+from phase_sumo.cli import main
+from phase_sumo.signals import SIGNALS, held_signals, stop_signals
 
 
 @pytest.fixture
@@ -68,3 +69,29 @@ def test_other_threads_hold_nothing(heard):
     thread.start()
     thread.join()
     assert inside == [handler]
+
+
+def test_a_command_may_ask_whether_to_stop_and_the_second_signal_ends_it(heard):
+    with pytest.raises(KeyboardInterrupt), stop_signals() as stopping:
+        assert not stopping()
+        signal.raise_signal(signal.SIGTERM)
+        assert stopping()
+        signal.raise_signal(signal.SIGINT)
+    signal.raise_signal(signal.SIGINT)
+    assert heard == [signal.SIGINT]  # the handlers are back
+
+
+@pytest.mark.parametrize("ends_well", [True, False])
+def test_a_command_leaves_the_handlers_as_they_were(heard, monkeypatch, ends_well):
+    def command(args):
+        inside.append(signal.getsignal(signal.SIGTERM))
+        if not ends_well:
+            signal.raise_signal(signal.SIGTERM)
+        return {}
+
+    inside: list[object] = []
+    before = [signal.getsignal(number) for number in SIGNALS]
+    monkeypatch.setattr("phase_sumo.cli.commands.bench", command)
+    assert main(["bench", "sim"]) == (0 if ends_well else 130)
+    assert inside[0] not in before  # SIGTERM meant an orderly end meanwhile
+    assert [signal.getsignal(number) for number in SIGNALS] == before

@@ -9,10 +9,10 @@ from scipy.stats import kendalltau
 
 from phase_sumo.config import ActionConfig
 from phase_sumo.evaluate.fixed_worlds import Start, idle_driver
-from phase_sumo.evaluate.steering.cross_entropy import Candidate, minimise
 from phase_sumo.evaluate.steering.egos import choose_egos
 from phase_sumo.evaluate.steering.outcomes import Context, Stage
 from phase_sumo.evaluate.steering.response import ResponseCurve, kendall_tau
+from phase_sumo.studies.cross_entropy import Candidate, minimise
 from tests.factories import car_shape, task_to, vehicle_state
 
 

@@ -11,11 +11,12 @@ import pytest
 
 from phase_sumo.bridge.maps.convert import convert
 from phase_sumo.bridge.maps.lane_position import LanePositions
-from phase_sumo.bridge.maps.lines import arc_length
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.line_geometry import arc_length
 from phase_sumo.bridge.maps.road_lines import road_lines
 from phase_sumo.bridge.maps.stretches import cut
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.errors import PhaseError
+from phase_sumo.report.map_picture import draw_map
 from phase_sumo.sim.bundle import load_bundle
 from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
@@ -164,7 +165,7 @@ def test_short_roads_that_meet_no_other_are_left_out_of_a_large_network(read):
 
 def test_convert_writes_a_bundle_per_stretch_and_one_row(tmp_path):
     path = motorway().write(tmp_path / "road.net.xml")
-    (row,) = convert([path], tmp_path / "out")
+    (row,) = convert([path], tmp_path / "out", draw=draw_map)
     names = [f"road_{k:02d}" for k in range(5)]
     assert (row["stretches"], row["names"]) == (5, names)
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(

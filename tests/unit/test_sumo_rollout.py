@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.maps.network import read_network
-from phase_sumo.bridge.rollout.rollout import roll_out
-from phase_sumo.bridge.rollout.sumo_road import write_road
-from phase_sumo.evaluate.logs.sources import open_source
-from phase_sumo.evaluate.logs.windows import windows
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.evaluate.realism.places import places
-from phase_sumo.evaluate.realism.road import extended
+from phase_sumo.logs.road_extension import extended
+from phase_sumo.logs.sources import open_source
+from phase_sumo.logs.windows import windows
+from phase_sumo.studies.log_road import write_road
+from phase_sumo.studies.log_rollout import roll_out
 from tests.standin import Standin
 from tests.steady_recordings import recording, road
 

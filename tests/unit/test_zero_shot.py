@@ -10,8 +10,6 @@ import pytest
 import torch
 
 from phase_sumo.bridge.maps.road_lines import road_lines
-from phase_sumo.evaluate.logs.recording import Recording
-from phase_sumo.evaluate.logs.windows import windows
 from phase_sumo.evaluate.scene_scores import MEASURES, Scores, score, table
 from phase_sumo.evaluate.zero_shot import (
     Frame,
@@ -22,6 +20,8 @@ from phase_sumo.evaluate.zero_shot import (
     replayed,
     scenes,
 )
+from phase_sumo.logs.recording import Recording
+from phase_sumo.logs.windows import windows
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.road_build import build_road_map

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_sumo.bridge.maps.lane_shifts import lane_shifts
-from phase_sumo.bridge.maps.lines import (
+from phase_sumo.bridge.maps.line_geometry import (
     arc_length,
     between,
     corners,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phase_sumo.bridge.maps.lines import arc_length
+from phase_sumo.bridge.maps.line_geometry import arc_length
 from phase_sumo.sim.lanes import LaneNetwork
 
 

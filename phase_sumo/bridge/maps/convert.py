@@ -1,4 +1,4 @@
-"""Networks -> map bundles with a picture each."""
+"""Networks -> map bundles, and a picture of each for those who want them."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from phase_sumo.bridge.maps.import_map import read_map
-from phase_sumo.bridge.maps.lines import arc_length
-from phase_sumo.bridge.maps.map_picture import draw_map
+from phase_sumo.bridge.maps.line_geometry import arc_length
 from phase_sumo.bridge.maps.net_xml import network_name
 from phase_sumo.bridge.maps.path_quality import lateral_kinks
 from phase_sumo.bridge.maps.road_lines import road_lines
@@ -33,6 +32,7 @@ STRETCH = 500.0  # m
 SHORTEST_STRETCH = 200.0  # m: below, hardly any start finds a goal
 LARGEST_AREA = 1.6e9  # m^2 that the grid of one map may cover, 40 km x 40 km
 Row = dict[str, Any]
+Draw = Callable[[MapBundle, Path], None]
 
 
 def build_bundle(network: LaneNetwork, scenario: ScenarioConfig | None = None, seed: int = 0) -> MapBundle:
@@ -64,8 +64,9 @@ def convert(
     seed: int = 0,
     stretch: float = STRETCH,
     left_hand: bool = False,
+    draw: Draw | None = None,
 ) -> list[Row]:
-    """Write ``<name>.npz`` and ``<name>.png`` for every network, or for every stretch of a long one.
+    """Write ``<name>.npz`` for every network, or for every stretch of a long one.
 
     All networks are read before anything is written, and the files appear together at the end. Maps that
     are already there, made from the same lanes by this version, are not made again.
@@ -77,6 +78,7 @@ def convert(
         keep, left_hand: see `read_map`.
         seed: of the pools.
         stretch: length in m of the stretches that long networks are cut into, 0 for none.
+        draw: writes ``<name>.png`` of a bundle beside it, see `draw_map`; None for no pictures.
 
     Returns:
         Per network: name, stretches, names, lanes, lane_km, nodes, links, pairs, lane_change_pairs,
@@ -110,7 +112,7 @@ def convert(
             found = [*network.warnings, *_left_out(network, parts)]
             for part in parts:
                 report(0.2 + 0.8 * done / total, part.name)
-                part_counts, part_found = _write(part, folder, Path(out_dir), seed)
+                part_counts, part_found = _write(part, folder, Path(out_dir), seed, draw)
                 counts += part_counts
                 found += [w for w in part_found if w not in found]
                 done += 1
@@ -163,8 +165,10 @@ def _all_or_nothing(out_dir: Path) -> Iterator[Path]:
         raise
 
 
-def _write(part: LaneNetwork, folder: Path, out_dir: Path, seed: int) -> tuple[Counter[str], list[str]]:
-    """Bundle and picture of one stretch into ``folder``, unless ``out_dir`` has them already.
+def _write(
+    part: LaneNetwork, folder: Path, out_dir: Path, seed: int, draw: Draw | None
+) -> tuple[Counter[str], list[str]]:
+    """Bundle of one stretch, and its picture, into ``folder``, unless ``out_dir`` has them already.
 
     Returns:
         what it counts, and warnings.
@@ -172,9 +176,11 @@ def _write(part: LaneNetwork, folder: Path, out_dir: Path, seed: int) -> tuple[C
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         bundle = load_or_build(part, out_dir, seed)
-    if load_key(out_dir / f"{part.name}.npz") != bundle.key or not (out_dir / f"{part.name}.png").exists():
+    current = load_key(out_dir / f"{part.name}.npz") == bundle.key
+    if not current:
         save_bundle(folder / f"{part.name}.npz", bundle)
-        draw_map(bundle, folder / f"{part.name}.png")
+    if draw and not (current and (out_dir / f"{part.name}.png").exists()):
+        draw(bundle, folder / f"{part.name}.png")
     graph, pools = bundle.graph, bundle.pools
     links = (graph.successor >= 0).sum() + (graph.left >= 0).sum() + (graph.right >= 0).sum()
     counts = Counter(

@@ -18,7 +18,7 @@ from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 
 from phase_sumo.bridge.maps.freeway import FREEWAY_CLASSES
 from phase_sumo.bridge.maps.net_xml import network_name, open_xml
-from phase_sumo.bridge.maps.network import read_network
+from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.lanes import LaneNetwork
 

@@ -10,7 +10,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry import LineString
 
-from phase_sumo.bridge.maps.lines import arc_length
+from phase_sumo.bridge.maps.line_geometry import arc_length
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 

@@ -14,7 +14,7 @@ from pyproj import Proj
 from phase_sumo.bridge.maps.import_map import read_map
 from phase_sumo.bridge.maps.net_xml import network_name, open_xml
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.logs.roads import Strip, strip_road
+from phase_sumo.logs.recorded_roads import Strip, strip_road
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 
 FloatArray = NDArray[np.float64]

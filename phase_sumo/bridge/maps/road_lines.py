@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from shapely.geometry import LineString, MultiLineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from phase_sumo.bridge.maps.lines import arc_length, normals, resample
+from phase_sumo.bridge.maps.line_geometry import arc_length, normals, resample
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 from phase_sumo.sim.near import abeam, pairs_within
 from phase_sumo.sim.polylines import Polylines

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phase_sumo.bridge.maps.carriageways import Carriageway, carriageways
-from phase_sumo.bridge.maps.lines import arc_length, between
+from phase_sumo.bridge.maps.line_geometry import arc_length, between
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 
 LONG = 1.5  # stretches: a carriageway up to this long is not cut

@@ -18,7 +18,7 @@ from phase_sumo.evaluate.realism.distances import (
     mmd,
     pair_sums,
 )
-from phase_sumo.evaluate.realism.measures import UNITS, lane_change_rate, samples, wasserstein
+from phase_sumo.evaluate.realism.likelihoods import UNITS, lane_change_rate, samples, wasserstein
 from phase_sumo.evaluate.realism.quantities import Quantities
 
 FloatArray = NDArray[np.float64]

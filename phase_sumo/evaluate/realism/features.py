@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from phase_sumo.evaluate.logs.recording import PERIOD, Recording
+from phase_sumo.logs.recording import PERIOD, Recording
 
 STRIDE = 5  # samples of a recording from one token to the next
 AGENTS = 7  # the vehicle and the nearest ones around it

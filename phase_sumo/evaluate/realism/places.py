@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_sumo.evaluate.logs.lane_places import lane_places
-from phase_sumo.evaluate.logs.recording import PERIOD, Recording
 from phase_sumo.evaluate.trajectories import Trajectories
+from phase_sumo.logs.lane_matching import lane_places
+from phase_sumo.logs.recording import PERIOD, Recording
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.near import nearest
 from phase_sumo.sim.polylines import Polylines

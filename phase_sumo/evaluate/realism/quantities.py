@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_sumo.evaluate import following
-from phase_sumo.evaluate.logs.lane_places import lane_changes, lane_places
-from phase_sumo.evaluate.logs.recording import PERIOD, Recording
 from phase_sumo.evaluate.realism.places import Places, places, trajectories
+from phase_sumo.logs.lane_matching import lane_changes, lane_places
+from phase_sumo.logs.recording import PERIOD, Recording
 from phase_sumo.sim.lanes import LaneNetwork
 
 FloatArray = NDArray[np.float64]

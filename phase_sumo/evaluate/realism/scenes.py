@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from phase_sumo.evaluate.logs.recording import Recording, Window
+from phase_sumo.logs.recording import Recording, Window
 
 
 def recorded(window: Window) -> Recording:

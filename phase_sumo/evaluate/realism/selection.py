@@ -10,10 +10,10 @@ from itertools import count
 import numpy as np
 from torch import Tensor
 
-from phase_sumo.evaluate.logs.recording import PERIOD, Recording, Window
-from phase_sumo.evaluate.logs.windows import windows
 from phase_sumo.evaluate.realism.features import features, trajectories
 from phase_sumo.evaluate.realism.scenes import recorded
+from phase_sumo.logs.recording import PERIOD, Recording, Window
+from phase_sumo.logs.windows import windows
 
 TRAINING_STRIDE = 1.0  # s from one window that the encoder learns from to the next
 TRAINING_WINDOWS = 128  # of one recording at most: the encoder takes 19,200 trajectories in all

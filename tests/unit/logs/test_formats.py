@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from phase_sumo.bridge.maps.lanelet2 import read_road
-from phase_sumo.evaluate.logs.lane_places import lane_places
-from phase_sumo.evaluate.logs.sources import open_source
-from phase_sumo.evaluate.logs.windows import windows
+from phase_sumo.logs.lane_matching import lane_places
+from phase_sumo.logs.sources import open_source
+from phase_sumo.logs.windows import windows
 from tests import log_files
 from tests.log_files import LANES, ROAD, SCENE, WIDTH
 

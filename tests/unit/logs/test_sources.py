@@ -10,9 +10,9 @@ import pytest
 from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.bridge.maps.lanelet2 import read_road
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.logs.lane_places import lane_places
-from phase_sumo.evaluate.logs.sources import open_source, open_sources
-from phase_sumo.evaluate.logs.windows import windows
+from phase_sumo.logs.lane_matching import lane_places
+from phase_sumo.logs.sources import open_source, open_sources
+from phase_sumo.logs.windows import windows
 from tests import log_files
 from tests.small_nets import SmallNet, lanes_from
 

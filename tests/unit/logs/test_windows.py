@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.logs.lane_places import lane_changes, lane_places
-from phase_sumo.evaluate.logs.roads import Strip, strip_road
-from phase_sumo.evaluate.logs.windows import windows
+from phase_sumo.logs.lane_matching import lane_changes, lane_places
+from phase_sumo.logs.recorded_roads import Strip, strip_road
+from phase_sumo.logs.windows import windows
 from tests.recordings import recording_of
 
 T = 250  # samples

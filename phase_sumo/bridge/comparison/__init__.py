@@ -1,1 +1,0 @@
-"""Several driver models side by side: runs, measures, report."""

@@ -1,1 +1,0 @@
-"""Recorded initial states rolled out in SUMO."""

@@ -1,0 +1,1 @@
+"""Many runs: comparisons, searches, rollouts of recorded traffic, measurements of speed."""
