@@ -19,7 +19,7 @@ from phase_sumo.config import REGIMES
 from phase_sumo.evaluate.benchmark import load_benchmark, run_benchmark
 from phase_sumo.evaluate.fixed_worlds import policy_driver
 from phase_sumo.policy.checkpoint import SHIPPED, load_policy
-from phase_sumo.report.cluster_figure import cluster_figure
+from phase_sumo.report.study_figures import cluster_figure
 from phase_sumo.studies.log_protocol import evaluate_logs
 from phase_sumo.studies.realism import realism
 

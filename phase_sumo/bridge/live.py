@@ -10,12 +10,11 @@ from typing import Any, Literal
 
 from traci.step import StepListener
 
-from phase_sumo.bridge.fleet.choice import Choice
 from phase_sumo.bridge.fleet.contacts import ContactMonitor
-from phase_sumo.bridge.fleet.context import Parameters
 from phase_sumo.bridge.fleet.drivers import Driver, Drivers
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.fleet import Fleet
+from phase_sumo.bridge.fleet.parameters import Choice, Parameters
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.bridge.outputs.trailers import Trailers

@@ -157,7 +157,7 @@ def steer(args: argparse.Namespace) -> Any:
     from phase_sumo.evaluate.steering.outcomes import Stage
     from phase_sumo.evaluate.steering.response import measure_steering
     from phase_sumo.policy.checkpoint import load_policy
-    from phase_sumo.report.steering_figure import draw_steering, write_steering
+    from phase_sumo.report.study_figures import draw_steering, write_steering
 
     policy, maps, out = load_policy(args.policy), held_out_maps(), Path(args.out)
     benchmark = load_benchmark(maps)
@@ -216,7 +216,7 @@ def search(args: argparse.Namespace) -> Any:
 
 
 def realism(args: argparse.Namespace) -> Any:
-    from phase_sumo.report.cluster_figure import cluster_figure
+    from phase_sumo.report.study_figures import cluster_figure
     from phase_sumo.studies.realism import realism as compare
 
     with progress_bar("realism") as progress:

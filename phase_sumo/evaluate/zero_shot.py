@@ -18,8 +18,7 @@ from torch import Tensor
 
 from phase_sumo.config import ScenarioConfig, SimConfig
 from phase_sumo.evaluate.fixed_worlds import Start, drive, policy_driver
-from phase_sumo.logs.recorded_vehicles import poses, shape
-from phase_sumo.logs.recording import PERIOD, Recording, Window
+from phase_sumo.logs.recording import PERIOD, Recording, Window, poses, shape
 from phase_sumo.policy.checkpoint import Policy
 from phase_sumo.sim.events import goal_behind, goal_reached
 from phase_sumo.sim.kinematics import bounded_accel

@@ -13,17 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_sumo.errors import PhaseError
-from phase_sumo.logs.kinds import kind_of
-from phase_sumo.logs.quality import finished
 from phase_sumo.logs.recorded_roads import Strip, strip_road
-from phase_sumo.logs.recording import Recording
+from phase_sumo.logs.recording import Recording, kind_of
 from phase_sumo.logs.sampling import on_grid, path_speed
+from phase_sumo.logs.windows import finished
 from phase_sumo.sim.lanes import LaneNetwork
 
-FloatArray = NDArray[np.float64]
 VEHICLES = frozenset({"car", "truck", "bus", "motorcycle", "taxi", "priorityVehicle"})
 
 

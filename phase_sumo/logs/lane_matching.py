@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_sumo.arrays import FloatArray, IntArray
 from phase_sumo.logs.recording import Recording
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.near import nearest
 from phase_sumo.sim.polylines import Polylines
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 SPACING = 1.0  # m between points of centre lines
 PIECE = 100_000  # positions looked up at a time
 BORDER = 0.3  # m beyond a lane that still belong to the road, like the seams that maps close

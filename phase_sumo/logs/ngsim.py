@@ -16,15 +16,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_sumo.arrays import FloatArray
 from phase_sumo.logs.csv_table import Table
-from phase_sumo.logs.kinds import kind_of
-from phase_sumo.logs.quality import finished
 from phase_sumo.logs.recorded_roads import Carriageway, straight_road
-from phase_sumo.logs.recording import PERIOD, Recording
+from phase_sumo.logs.recording import PERIOD, Recording, kind_of
 from phase_sumo.logs.sampling import on_grid, path_yaw, runs
+from phase_sumo.logs.windows import finished
 from phase_sumo.sim.lanes import LaneNetwork
 
-FloatArray = NDArray[np.float64]
 FOOT = 0.3048  # m
 WINDOW, DEGREE = 21, 3
 LANE_SHARE = 0.01  # of the samples: a lane used more rarely is left out

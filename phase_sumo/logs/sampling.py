@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_sumo.arrays import FloatArray, IntArray
 from phase_sumo.errors import PhaseError
 from phase_sumo.logs.recording import PERIOD
 from phase_sumo.sim.near import ranges
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 SLOWEST = 1.0  # s: tracks sampled more rarely say too little between samples
 LOST = 1.5  # times the usual period between samples: longer ones are gaps
 SPAN = 5  # samples to either side that a heading is taken over

@@ -9,9 +9,15 @@ from pathlib import Path
 
 from phase_sumo.errors import PhaseError
 from phase_sumo.logs.commonroad import file_reader, read_commonroad
-from phase_sumo.logs.exid import ExidRoads, RoadReader, check_exid, read_exid
-from phase_sumo.logs.highd import highd_files, read_highd
-from phase_sumo.logs.levelx import drone_files
+from phase_sumo.logs.levelx import (
+    ExidRoads,
+    RoadReader,
+    check_exid,
+    drone_files,
+    highd_files,
+    read_exid,
+    read_highd,
+)
 from phase_sumo.logs.ngsim import read_ngsim
 from phase_sumo.logs.recording import Recording
 from phase_sumo.logs.tracks import read_tracks

@@ -19,16 +19,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_sumo.arrays import FloatArray
 from phase_sumo.errors import PhaseError
 from phase_sumo.logs.csv_table import Table
-from phase_sumo.logs.kinds import kind_of
-from phase_sumo.logs.quality import finished
 from phase_sumo.logs.recorded_roads import Carriageway, straight_road
-from phase_sumo.logs.recording import Kind, Recording
+from phase_sumo.logs.recording import Kind, Recording, kind_of
 from phase_sumo.logs.sampling import on_grid, path_speed, path_yaw
+from phase_sumo.logs.windows import finished
 from phase_sumo.sim.lanes import LaneNetwork
 
-FloatArray = NDArray[np.float64]
 REQUIRED = ("id", "t", "y_m", "length_m")
 OPTIONAL = (
     "scene",

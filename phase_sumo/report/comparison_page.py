@@ -15,9 +15,9 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from phase_sumo import __version__
-from phase_sumo.evaluate import curves, edie, following
-from phase_sumo.evaluate.corridor import Corridor
+from phase_sumo.evaluate import measures, surrogate_safety, traffic
 from phase_sumo.evaluate.measures import MEASURES, Measure
+from phase_sumo.evaluate.traffic import Corridor
 from phase_sumo.evaluate.trajectories import Trajectories
 from phase_sumo.report import playback, plots, road_pictures
 from phase_sumo.sim.lanes import LaneNetwork
@@ -73,7 +73,7 @@ def write_report(
         ],
         moment=moment,
         distributions=[
-            (curve.title, Markup(plots.distribution(runs, name))) for name, curve in curves.CURVES.items()
+            (curve.title, Markup(plots.distribution(runs, name))) for name, curve in measures.CURVES.items()
         ],
         fundamental=Markup(plots.fundamental_diagram(runs)),
         profile=Markup(plots.speed_over_position(runs)),
@@ -84,8 +84,8 @@ def write_report(
         film_json=_script_json(film),
         film_megabytes=sum(len(run["data"]) for run in film["runs"].values()) / 1e6,
         most_samples=playback.MOST_SAMPLES,
-        edie=edie,
-        following=following,
+        traffic=traffic,
+        surrogate_safety=surrogate_safety,
         style=Markup(_source(environment, "report.css")),
         script=Markup(_source(environment, "playback.js")),
     )

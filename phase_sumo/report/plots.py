@@ -14,8 +14,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from phase_sumo.evaluate.corridor import Corridor, along
-from phase_sumo.evaluate.curves import CURVES
+from phase_sumo.evaluate.measures import CURVES
+from phase_sumo.evaluate.traffic import Corridor, along
 from phase_sumo.evaluate.trajectories import Trajectories
 from phase_sumo.report.road_pictures import PHASE, SUMO
 from phase_sumo.studies.driver_models import is_phase, label

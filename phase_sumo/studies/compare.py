@@ -12,15 +12,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from phase_sumo.bridge.fleet.choice import Choice
 from phase_sumo.bridge.fleet.drivers import Driver
+from phase_sumo.bridge.fleet.parameters import Choice
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.bridge.sumo.options import read_scenario
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.corridor import Corridor
 from phase_sumo.evaluate.measures import MEASURES
-from phase_sumo.evaluate.statistics import CONFIDENCE
-from phase_sumo.evaluate.summary import summarise
+from phase_sumo.evaluate.statistics import CONFIDENCE, summarise
+from phase_sumo.evaluate.traffic import Corridor
 from phase_sumo.evaluate.trajectories import Trajectories
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.lanes import LaneNetwork

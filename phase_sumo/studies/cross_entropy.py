@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from phase_sumo.arrays import FloatArray
 
 POPULATION = 16  # candidates per generation
 ELITE = 4  # of them, from which the next generation is drawn

@@ -30,7 +30,7 @@ from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.road_build import build_road_map
 from phase_sumo.sim.road_map import RoadMap, merge
-from phase_sumo.studies.log_batch import roll_out_all
+from phase_sumo.studies.log_rollout import roll_out_all
 
 TOGETHER = 64  # worlds side by side
 IDM = "idm"

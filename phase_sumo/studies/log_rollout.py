@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,11 @@ from phase_sumo.bridge.sumo.conventions import angle_from_yaw
 from phase_sumo.bridge.sumo.demand import sumo_model
 from phase_sumo.bridge.sumo.options import SUMO_OPTIONS
 from phase_sumo.bridge.sumo.session import Session, Simulation
-from phase_sumo.evaluate.realism.places import Places
+from phase_sumo.evaluate.realism.places import Places, places
+from phase_sumo.logs.recorded_roads import extended
 from phase_sumo.logs.recording import PERIOD, Recording, Window
-from phase_sumo.studies.log_demand import Start, start_of, write_demand
-from phase_sumo.studies.log_road import SumoRoad
+from phase_sumo.sim.lanes import LaneNetwork
+from phase_sumo.studies.log_scenario import Start, SumoRoad, start_of, write_demand, write_road
 
 LANE_CHANGE = "4.6"  # s a lane change of SUMO's own vehicles takes, the mean of Toledo & Zohar (2007)
 KEEP_ROUTE = 2  # moveToXY: exactly there
@@ -138,3 +139,34 @@ def _poses(table: VehicleTable, rows: np.ndarray) -> np.ndarray:
     back_x, back_y = a["x"] - behind * np.cos(yaw), a["y"] - behind * np.sin(yaw)
     along = np.arctan2(front_y - back_y, front_x - back_x)
     return np.stack((0.5 * (front_x + back_x), 0.5 * (front_y + back_y), along, a["speed"]))
+
+
+BEFORE, ROOM = 60.0, 60.0  # m of road added before the recorded stretch, and after it beyond the farthest way
+FASTEST = 45.0  # m/s
+
+
+def roll_out_all(
+    windows: Sequence[Window],
+    models: Sequence[str],
+    driver: Driver | None,
+    seed: int,
+    progress: Callable[[float, str], None],
+) -> Iterator[tuple[Window, LaneNetwork, dict[str, Recording]]]:
+    """Every window, its road with room beyond its ends, and its agents' tracks by model (see `roll_out`).
+
+    Windows come road by road, since each is made once.
+    """
+    by_road: dict[int, list[Window]] = {}
+    for window in windows:
+        by_road.setdefault(id(window.recording.network), []).append(window)
+    done = 0
+    for of_road in by_road.values():
+        after = ROOM + FASTEST * max(w.steps for w in of_road) * PERIOD
+        road = extended(of_road[0].recording.network, BEFORE, after)
+        with tempfile.TemporaryDirectory(prefix="phase_sumo_") as temporary:
+            sumo = write_road(road, Path(temporary))
+            for window in of_road:
+                progress(done / len(windows), f"rollouts, {window.recording.name}")
+                done += 1
+                where = places(window.recording, road)
+                yield window, road, {m: roll_out(window, sumo, where, m, driver, seed) for m in models}

@@ -14,18 +14,21 @@ from phase_sumo.bridge.maps.lanelet2 import read_road
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.realism import comparison as compare
 from phase_sumo.evaluate.realism.comparison import Comparison, Traffic
-from phase_sumo.evaluate.realism.encoder import Encoder, Training, train
-from phase_sumo.evaluate.realism.features import features, trajectories
-from phase_sumo.evaluate.realism.likelihoods import HISTOGRAMS, lane_change_rate, likelihoods
-from phase_sumo.evaluate.realism.quantities import Quantities, quantities
-from phase_sumo.evaluate.realism.scenes import alike, recorded
-from phase_sumo.evaluate.realism.selection import Selection, select
+from phase_sumo.evaluate.realism.encoder import Encoder, Training, features, train, trajectories
+from phase_sumo.evaluate.realism.quantities import (
+    HISTOGRAMS,
+    Quantities,
+    lane_change_rate,
+    likelihoods,
+    quantities,
+)
+from phase_sumo.evaluate.realism.selection import Selection, alike, recorded, select
 from phase_sumo.logs.recording import Recording
 from phase_sumo.logs.sources import open_sources
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.studies.driver_models import parse_models
-from phase_sumo.studies.log_batch import roll_out_all
+from phase_sumo.studies.log_rollout import roll_out_all
 
 Progress = Callable[[float, str], None]
 Draw = Callable[[Mapping[str, Any], Path], None]

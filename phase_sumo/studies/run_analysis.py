@@ -5,23 +5,40 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from phase_sumo.bridge.fleet.event_log import read_events
 from phase_sumo.bridge.sumo.emission_tables import emission_tables
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.corridor import Corridor, find_corridor, speed_profile
-from phase_sumo.evaluate.curves import curves
-from phase_sumo.evaluate.edie import Cells, edie_cells
-from phase_sumo.evaluate.following import following
-from phase_sumo.evaluate.measures import MEASURES, Measure, measures
-from phase_sumo.evaluate.traffic import cross_section
+from phase_sumo.evaluate.measures import MEASURES, Measure, curves, measures
+from phase_sumo.evaluate.surrogate_safety import following
+from phase_sumo.evaluate.traffic import (
+    Cells,
+    Corridor,
+    cross_section,
+    edie_cells,
+    find_corridor,
+    speed_profile,
+)
 from phase_sumo.evaluate.trajectories import Trajectories
-from phase_sumo.studies.collisions import at_fault, read_collisions
 from phase_sumo.studies.driver_models import Model
+
+
+def read_collisions(path: Path) -> list[dict[str, Any]]:
+    """The fields of `Event` of every collision."""
+    return [asdict(event) for event in read_events(path) if event.kind == "collision"]
+
+
+def at_fault(collision: dict[str, Any], phase: bool) -> bool:
+    """Whether a vehicle under PHASE (or, with ``phase`` False, under SUMO) is to blame."""
+    return (collision["fault"] and collision["phase"] == phase) or (
+        collision["other_fault"] and collision["other_phase"] == phase
+    )
+
 
 PHASE_MEASURES = {
     "phase_vehicles": Measure("PHASE vehicles", "", 0, "PHASE vehicles"),

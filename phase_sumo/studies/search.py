@@ -22,7 +22,7 @@ from phase_sumo.bridge.run import run_scenario
 from phase_sumo.bridge.sumo.options import command, read_scenario
 from phase_sumo.bridge.sumo.session import Session
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.following import HEADWAY_SPEED, following, time_to_collision
+from phase_sumo.evaluate.surrogate_safety import HEADWAY_SPEED, following, time_to_collision
 from phase_sumo.evaluate.traffic import lane_changes
 from phase_sumo.evaluate.trajectories import Trajectories
 from phase_sumo.studies.cross_entropy import Candidate, minimise

@@ -8,12 +8,11 @@ from functools import wraps
 from typing import Any
 
 from phase_sumo.bridge.fleet import controller
-from phase_sumo.bridge.fleet.contacts import ContactMonitor
+from phase_sumo.bridge.fleet.contacts import ContactMonitor, RoadEdgeMonitor
 from phase_sumo.bridge.fleet.controller import Controller
 from phase_sumo.bridge.fleet.fleet import Fleet
 from phase_sumo.bridge.fleet.goals import GoalPlanner
 from phase_sumo.bridge.fleet.road import Road
-from phase_sumo.bridge.fleet.road_edge import RoadEdgeMonitor
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.outputs.recorder import Recorder
 from phase_sumo.bridge.sumo.session import Simulation

@@ -12,7 +12,7 @@ import pytest
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.bridge.sumo.emission_tables import emission_tables
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.emissions import emitted
+from phase_sumo.evaluate.measures import emitted
 from phase_sumo.evaluate.traffic import delay
 from phase_sumo.evaluate.trajectories import Trajectories
 from phase_sumo.report.comparison_page import write_report

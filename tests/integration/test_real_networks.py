@@ -13,10 +13,10 @@ from shapely.geometry import LineString
 from sumolib import geomhelper
 
 from phase_sumo.bridge.maps.alignment import BLEND
-from phase_sumo.bridge.maps.lane_position import LanePositions
+from phase_sumo.bridge.maps.convert import TURN, lateral_kinks, turn_per_metre
+from phase_sumo.bridge.maps.coordinates import LanePositions
 from phase_sumo.bridge.maps.line_geometry import arc_length
 from phase_sumo.bridge.maps.net_xml import parse_net
-from phase_sumo.bridge.maps.path_quality import TURN, lateral_kinks, turn_per_metre
 from phase_sumo.bridge.maps.road_lines import road_edges, road_lines
 from phase_sumo.bridge.maps.stretches import cut
 from phase_sumo.bridge.maps.sumo_network import read_network

@@ -17,7 +17,7 @@ from phase_sumo.bridge.fleet.controller import Controller
 from phase_sumo.bridge.fleet.event_log import read_events
 from phase_sumo.bridge.fleet.fleet import Fleet
 from phase_sumo.bridge.fleet.scene import Scene
-from phase_sumo.bridge.outputs.lane_changes import LaneChanges
+from phase_sumo.bridge.outputs.lane_records import LaneChanges
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.bridge.sumo.session import Simulation
 from tests.scenario_files import write_scenario

@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phase_sumo.bridge.fleet.choice import Choice
 from phase_sumo.bridge.fleet.contacts import ContactMonitor
 from phase_sumo.bridge.fleet.drivers import Driver, Drivers
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.fleet import Fleet
+from phase_sumo.bridge.fleet.parameters import Choice
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.fleet.table import STATE, TASK, VehicleTable
 from phase_sumo.bridge.sumo.conventions import ShapeRow

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from phase_sumo.bridge.fleet import adoption
-from phase_sumo.bridge.fleet.choice import Choice
+from phase_sumo.bridge.fleet.parameters import Choice
 from phase_sumo.bridge.fleet.table import STATE
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.bridge.sumo.conventions import yaw_from_angle

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from phase_sumo.bridge.maps.convert import build_bundle
-from phase_sumo.bridge.maps.lane_position import LanePositions
+from phase_sumo.bridge.maps.coordinates import LanePositions
 from phase_sumo.bridge.maps.stretches import cut
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.errors import PhaseError

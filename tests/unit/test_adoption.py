@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from phase_sumo.bridge.fleet.adoption import Adoption
-from phase_sumo.bridge.fleet.choice import Choice
+from phase_sumo.bridge.fleet.parameters import Choice
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import route_lanes
 from phase_sumo.bridge.fleet.table import VehicleTable

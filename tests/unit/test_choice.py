@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from phase_sumo.bridge.fleet.choice import Choice, Marks
+from phase_sumo.bridge.fleet.parameters import Choice, Marks
 from phase_sumo.errors import PhaseError
 
 NAMES = [f"veh{i}" for i in range(4000)]

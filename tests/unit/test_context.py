@@ -6,8 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from phase_sumo.bridge.fleet.choice import Marks
-from phase_sumo.bridge.fleet.context import Context, Parameters
+from phase_sumo.bridge.fleet.parameters import Context, Marks, Parameters
 from phase_sumo.bridge.sumo.conventions import shape_from_type
 from phase_sumo.errors import PhaseError
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.fleet.controller import SAME_WAY, Controller
+from phase_sumo.bridge.fleet.controller import SAME_WAY, Controller, Steps
 from phase_sumo.bridge.fleet.drivers import Drivers
 from phase_sumo.bridge.fleet.goals import GoalPlanner
 from phase_sumo.bridge.fleet.road import Road
-from phase_sumo.bridge.fleet.steps import Steps
 from phase_sumo.bridge.fleet.table import VehicleTable
-from phase_sumo.bridge.fleet.target_speed import TargetSpeeds
+from phase_sumo.bridge.fleet.target_speeds import TargetSpeeds
 from phase_sumo.bridge.sumo.conventions import shape_from_type
 from phase_sumo.sim.synthetic_road import freeway
 from tests.standin import Standin

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_sumo.evaluate.edie import edie_cells
+from phase_sumo.evaluate.traffic import edie_cells
 from tests.trajectories import make
 
 

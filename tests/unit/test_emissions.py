@@ -9,7 +9,7 @@ import pytest
 import sumolib
 
 from phase_sumo.bridge.sumo.emission_tables import emission_tables
-from phase_sumo.evaluate.emissions import EmissionTable, emitted
+from phase_sumo.evaluate.measures import EmissionTable, emitted
 from tests.trajectories import make
 
 PLANE = EmissionTable(

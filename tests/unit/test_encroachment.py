@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_sumo.evaluate.encroachment import following_pets, lane_change_pets
+from phase_sumo.evaluate.surrogate_safety import following_pets, lane_change_pets
 from tests.trajectories import make
 
 

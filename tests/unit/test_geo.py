@@ -9,7 +9,7 @@ import pytest
 import sumo
 import sumolib
 
-from phase_sumo.bridge.maps.geo import NetProjection
+from phase_sumo.bridge.maps.coordinates import NetProjection
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.lanes import GeoReference

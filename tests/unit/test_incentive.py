@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.fleet.incentive import (
+from phase_sumo.bridge.fleet.lane_choice import (
     ACCELERATION,
     BRAKING,
     POLITENESS,

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_sumo.evaluate.curves import CURVES, curves
-from phase_sumo.evaluate.edie import edie_cells
-from phase_sumo.evaluate.following import following
-from phase_sumo.evaluate.measures import MEASURES, measures
+from phase_sumo.evaluate.measures import CURVES, MEASURES, curves, measures
+from phase_sumo.evaluate.surrogate_safety import following
+from phase_sumo.evaluate.traffic import edie_cells
 from tests.trajectories import make
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.fleet.member import Member
-from phase_sumo.bridge.fleet.merging import BEFORE, Merging
+from phase_sumo.bridge.fleet.drivers import Member
 from phase_sumo.bridge.fleet.occupancy import Occupancy
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import route_lanes
 from phase_sumo.bridge.fleet.table import VehicleTable
+from phase_sumo.bridge.fleet.target_speeds import BEFORE, Merging
 from phase_sumo.sim.lanes import LaneNetwork
 from tests.toy_motorway import lane, nodes, put
 

@@ -5,7 +5,7 @@ import pytest
 
 from phase_sumo.evaluate.realism.comparison import Comparison, Traffic, floor, resamples, with_intervals
 from phase_sumo.evaluate.realism.quantities import quantities
-from phase_sumo.logs.road_extension import extended
+from phase_sumo.logs.recorded_roads import extended
 from tests.steady_recordings import recording
 
 

@@ -7,8 +7,19 @@ import pytest
 import torch
 
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.realism.encoder import Encoder, Forecaster, Training, train
-from phase_sumo.evaluate.realism.features import ALONG, ASIDE, FORWARDS, SCALE, THERE, features, trajectories
+from phase_sumo.evaluate.realism.encoder import (
+    ALONG,
+    ASIDE,
+    FORWARDS,
+    SCALE,
+    THERE,
+    Encoder,
+    Forecaster,
+    Training,
+    features,
+    train,
+    trajectories,
+)
 from tests.steady_recordings import WIDTH, recording
 
 

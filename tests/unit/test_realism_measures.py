@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phase_sumo.evaluate.realism.clusters import centroid_distances, k_means
-from phase_sumo.evaluate.realism.likelihoods import likelihoods, samples, wasserstein
-from phase_sumo.evaluate.realism.quantities import quantities
-from phase_sumo.evaluate.realism.scenes import alike, recorded
+from phase_sumo.evaluate.realism.distances import centroid_distances, k_means
+from phase_sumo.evaluate.realism.quantities import likelihoods, quantities, samples, wasserstein
+from phase_sumo.evaluate.realism.selection import alike, recorded
+from phase_sumo.logs.recorded_roads import extended
 from phase_sumo.logs.recording import Window
-from phase_sumo.logs.road_extension import extended
 from tests.steady_recordings import WIDTH, recording, road
 
 

@@ -8,11 +8,9 @@ import re
 import numpy as np
 import pytest
 
-from phase_sumo.evaluate.corridor import find_corridor, speed_profile
-from phase_sumo.evaluate.curves import curves
-from phase_sumo.evaluate.edie import edie_cells
-from phase_sumo.evaluate.following import following
-from phase_sumo.evaluate.measures import MEASURES
+from phase_sumo.evaluate.measures import MEASURES, curves
+from phase_sumo.evaluate.surrogate_safety import following
+from phase_sumo.evaluate.traffic import edie_cells, find_corridor, speed_profile
 from phase_sumo.evaluate.trajectories import Trajectories
 from phase_sumo.report import plots, road_pictures
 from phase_sumo.report.comparison_page import write_report

@@ -14,9 +14,9 @@ from phase_sumo.evaluate.statistics import (
     mean_interval,
     paired_difference,
     poisson_interval,
+    summarise,
     t_quantile,
 )
-from phase_sumo.evaluate.summary import summarise
 
 # two-sided 95 % points, as printed in any table of Student's t
 T_TABLE = {1: 12.706, 2: 4.303, 3: 3.182, 4: 2.776, 5: 2.571, 9: 2.262, 10: 2.228, 30: 2.042, 120: 1.980}

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from phase_sumo.bridge.fleet.controller import Controller
+from phase_sumo.bridge.fleet.controller import Controller, Steps
 from phase_sumo.bridge.fleet.drivers import Drivers
 from phase_sumo.bridge.fleet.goals import GoalPlanner
 from phase_sumo.bridge.fleet.road import Road
-from phase_sumo.bridge.fleet.steps import Steps
 from phase_sumo.bridge.fleet.table import STATE, VehicleTable
-from phase_sumo.bridge.fleet.target_speed import TargetSpeeds
+from phase_sumo.bridge.fleet.target_speeds import TargetSpeeds
 from phase_sumo.bridge.sumo.conventions import shape_from_type
 from phase_sumo.config import ActionConfig, SimConfig
 from phase_sumo.errors import PhaseError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from phase_sumo.bridge.maps.convert import convert
-from phase_sumo.bridge.maps.lane_position import LanePositions
+from phase_sumo.bridge.maps.coordinates import LanePositions
 from phase_sumo.bridge.maps.line_geometry import arc_length
 from phase_sumo.bridge.maps.road_lines import road_lines
 from phase_sumo.bridge.maps.stretches import cut

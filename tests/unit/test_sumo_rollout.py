@@ -9,11 +9,11 @@ import pytest
 
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.evaluate.realism.places import places
-from phase_sumo.logs.road_extension import extended
+from phase_sumo.logs.recorded_roads import extended
 from phase_sumo.logs.sources import open_source
 from phase_sumo.logs.windows import windows
-from phase_sumo.studies.log_road import write_road
 from phase_sumo.studies.log_rollout import roll_out
+from phase_sumo.studies.log_scenario import write_road
 from tests.standin import Standin
 from tests.steady_recordings import recording, road
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phase_sumo.evaluate import traffic
-from phase_sumo.evaluate.corridor import along, find_corridor, speed_profile
+from phase_sumo.evaluate.traffic import along, find_corridor, speed_profile
 from phase_sumo.evaluate.trajectories import Trajectories
 from tests.trajectories import make
 

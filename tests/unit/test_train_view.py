@@ -6,9 +6,7 @@ import io
 
 import pytest
 
-from phase_sumo.cli import train_progress
-from phase_sumo.cli.train_progress import Progress, Row, line
-from phase_sumo.cli.train_view import COURSE, Course, Screen, train_view
+from phase_sumo.cli.train_view import COURSE, Course, Progress, Row, Screen, line, train_view
 
 ROW: Row = {
     "steps": 0,
@@ -85,7 +83,7 @@ def test_a_course_is_short_and_keeps_its_shape():
 
 def test_without_a_terminal_there_are_lines_now_and_then(monkeypatch, capsys):
     def lines_of(every: float) -> list[str]:
-        monkeypatch.setattr(train_progress, "LINE_EVERY", every)
+        monkeypatch.setattr("phase_sumo.cli.train_view.LINE_EVERY", every)
         with train_view("run", 0, 100_000, lambda: False) as show:
             for update in range(1, 6):
                 show(ROW | (HELD_OUT if update == 4 else {}) | {"steps": 10_000 * update})

@@ -6,12 +6,11 @@ from collections.abc import Callable, Container, Iterator
 
 import numpy as np
 
-from phase_sumo.bridge.fleet.choice import Choice
-from phase_sumo.bridge.fleet.context import Parameters
-from phase_sumo.bridge.fleet.drivers import Drivers
-from phase_sumo.bridge.fleet.member import Member
+from phase_sumo.bridge.fleet.drivers import Drivers, Member
+from phase_sumo.bridge.fleet.parameters import Choice, Parameters
 from phase_sumo.bridge.fleet.road import Road
-from phase_sumo.bridge.fleet.route import RouteLanes, curve_speed, kept_stretch, remaining
+from phase_sumo.bridge.fleet.route import curve_speed, kept_stretch, remaining
+from phase_sumo.bridge.fleet.route_views import RouteLanes
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.errors import PhaseError
 

@@ -7,29 +7,21 @@ from typing import Any
 
 import numpy as np
 
+from phase_sumo.arrays import BoolArray, FloatArray, IntArray
 from phase_sumo.bridge.fleet.adoption import Adoption
-from phase_sumo.bridge.fleet.choice import Choice
-from phase_sumo.bridge.fleet.controller import Controller
-from phase_sumo.bridge.fleet.drivers import Drivers
+from phase_sumo.bridge.fleet.contacts import RoadEdgeMonitor
+from phase_sumo.bridge.fleet.controller import Controller, Steps
+from phase_sumo.bridge.fleet.drivers import Drivers, Member
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.goals import GoalPlanner
-from phase_sumo.bridge.fleet.member import Member
-from phase_sumo.bridge.fleet.occupancy import Occupancy
+from phase_sumo.bridge.fleet.occupancy import Occupancy, queue_rooms
+from phase_sumo.bridge.fleet.parameters import Choice
 from phase_sumo.bridge.fleet.pose import PoseWriter
-from phase_sumo.bridge.fleet.queues import queue_rooms
-from phase_sumo.bridge.fleet.road import BoolArray, FloatArray, IntArray, Road
-from phase_sumo.bridge.fleet.road_edge import RoadEdgeMonitor
-from phase_sumo.bridge.fleet.route import (
-    RouteLanes,
-    follow_lanes,
-    kept_stretch,
-    remaining,
-    route_lanes,
-)
+from phase_sumo.bridge.fleet.road import Road
+from phase_sumo.bridge.fleet.route import follow_lanes, kept_stretch, remaining, route_lanes
+from phase_sumo.bridge.fleet.route_views import RouteLanes
 from phase_sumo.bridge.fleet.scene import Scene
-from phase_sumo.bridge.fleet.speed_limits import SpeedLimits
-from phase_sumo.bridge.fleet.steps import Steps
-from phase_sumo.bridge.fleet.target_speed import TargetSpeeds
+from phase_sumo.bridge.fleet.target_speeds import SpeedLimits, TargetSpeeds
 from phase_sumo.bridge.sumo.session import bare
 from phase_sumo.sim.lanes import LaneNetwork
 

@@ -13,10 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from phase_sumo.bridge.fleet import tactics
+from phase_sumo.arrays import BoolArray, FloatArray, IntArray
+from phase_sumo.bridge.fleet import lane_choice
 from phase_sumo.bridge.fleet.occupancy import Occupancy
-from phase_sumo.bridge.fleet.road import BoolArray, FloatArray, IntArray, Road
-from phase_sumo.bridge.fleet.route import Place, RouteLanes, ahead, path
+from phase_sumo.bridge.fleet.road import Road
+from phase_sumo.bridge.fleet.route import Place, ahead, path
+from phase_sumo.bridge.fleet.route_views import RouteLanes
 from phase_sumo.bridge.fleet.table import VehicleTable
 
 GOAL_TIME = 6.0  # s of target speed
@@ -111,7 +113,7 @@ class GoalPlanner:
         vehicles = [table.ids[row] for row in rows.tolist()]
         stray = self._stray(rows, at)
         resting = np.array([time < self._rested.get(vehicle, -np.inf) for vehicle in vehicles])
-        side, needed = tactics.sides(road, table, occupancy, rows, at, routes, stray | resting)
+        side, needed = lane_choice.sides(road, table, occupancy, rows, at, routes, stray | resting)
         lasting = np.array([self._lasts(time, *wish) for wish in zip(vehicles, side.tolist(), strict=True)])
         side = np.where(needed | lasting, side, 0)
         beside = np.where(side > 0, graph.left[at], np.where(side < 0, graph.right[at], -1))

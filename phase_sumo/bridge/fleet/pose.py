@@ -6,8 +6,9 @@ from types import ModuleType
 
 import numpy as np
 
-from phase_sumo.bridge.fleet.member import Member
-from phase_sumo.bridge.fleet.road import FloatArray, IntArray, Road
+from phase_sumo.arrays import FloatArray, IntArray
+from phase_sumo.bridge.fleet.drivers import Member
+from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.bridge.sumo.conventions import angle_from_yaw
 from phase_sumo.bridge.sumo.session import bare

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phase_sumo.arrays import BoolArray, FloatArray, IntArray
 from phase_sumo.bridge.fleet.route_views import RouteViews
 from phase_sumo.bridge.maps.road_lines import road_lines
 from phase_sumo.sim.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, curvature, lane_speeds
@@ -14,9 +14,6 @@ from phase_sumo.sim.near import pairs_within
 from phase_sumo.sim.road_build import build_road_map
 from phase_sumo.sim.road_map import RoadMap
 
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
 MATCH_RADIUS = 6.0  # m, farther from any lane centre is off the road
 MATCH_YAW = np.radians(75.0)
 TIGHTEST = 12.0  # m, radius of turns at crossings; ramps of motorways are wider

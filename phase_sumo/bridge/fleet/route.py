@@ -9,34 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from phase_sumo.bridge.fleet.road import BoolArray, Road
+from phase_sumo.arrays import BoolArray, FloatArray, IntArray
+from phase_sumo.bridge.fleet.road import Road
+from phase_sumo.bridge.fleet.route_views import RouteLanes
 from phase_sumo.sim.curve_speed import FASTEST, braked_to, exit_speeds
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class RouteLanes:
-    """What each lane of the network means to one route, all [L].
-
-    Attributes:
-        changes: lane changes needed from this lane to the end of the route, inf off the route.
-        room: m from the lane's start that can be driven without any change, inf when none is needed.
-        onward: lane to take at the lane's end, -1 where the route or the lane ends.
-        exit_speed: m/s at the lane's end for the curves that follow.
-        side: +1 when the lane to the left needs fewer changes, -1 for the right, 0 for neither.
-        view: [L, 3] nodes first, end and row of the road map's view for the first, see `route_views`.
-    """
-
-    changes: FloatArray
-    room: FloatArray
-    onward: IntArray
-    side: IntArray
-    exit_speed: FloatArray
-    view: IntArray
 
 
 @dataclass(frozen=True)

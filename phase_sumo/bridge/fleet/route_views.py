@@ -9,14 +9,14 @@ lanes along its own way.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from phase_sumo.arrays import FloatArray, IntArray
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.sim.lane_graph import LaneGraph
 from phase_sumo.sim.near import pairs_within
@@ -24,18 +24,32 @@ from phase_sumo.sim.road_build import RoadLine, RoadPoints, road_points, view_ro
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.road_view import RoadView
 
-if TYPE_CHECKING:
-    from phase_sumo.bridge.fleet.route import RouteLanes
-
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float32]
 AHEAD = 100  # m before a fork from which the branch is in sight
 BEHIND = 60  # m behind a fork over which the branches may be taken for one another
-BESIDE = (
-    6.0  # m between the centres of lanes in different directions, up to which one may be taken for the other
-)
+BESIDE = 6.0  # m between centres of lanes in different directions that may be taken for one another
 SAME_WAY = 0.5  # cosine of the angle between directions that are the same
 GROWTH = 1.5  # of the table when it is full
+
+
+@dataclass(frozen=True)
+class RouteLanes:
+    """What each lane of the network means to one route, all [L].
+
+    Attributes:
+        changes: lane changes needed from this lane to the end of the route, inf off the route.
+        room: m from the lane's start that can be driven without any change, inf when none is needed.
+        onward: lane to take at the lane's end, -1 where the route or the lane ends.
+        exit_speed: m/s at the lane's end for the curves that follow.
+        side: +1 when the lane to the left needs fewer changes, -1 for the right, 0 for neither.
+        view: [L, 3] nodes first, end and row of the road map's view for the first, see `RouteViews`.
+    """
+
+    changes: FloatArray
+    room: FloatArray
+    onward: IntArray
+    side: IntArray
+    exit_speed: FloatArray
+    view: IntArray
 
 
 class RouteViews:
@@ -85,7 +99,7 @@ class RouteViews:
 
     def seen(
         self, table: VehicleTable, node: IntArray, routes: dict[str, RouteLanes]
-    ) -> tuple[IntArray, FloatArray]:
+    ) -> tuple[IntArray, NDArray[np.float32]]:
         """Which row of the map's views each vehicle sees because of its route, and the way its lane points.
 
         Args:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phase_sumo.bridge.fleet.context import Parameters
 from phase_sumo.bridge.fleet.event_log import EventLog
+from phase_sumo.bridge.fleet.parameters import Parameters
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.bridge.sumo.conventions import Kind, ShapeRow, reference_from_front, yaw_from_angle
 from phase_sumo.bridge.sumo.session import Simulation, bare

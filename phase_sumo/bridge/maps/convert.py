@@ -1,4 +1,7 @@
-"""Networks -> map bundles, and a picture of each for those who want them."""
+"""Networks -> map bundles, and a picture of each for those who want them.
+
+Paths through the lane graph are checked for turns that a tractor with a trailer cannot follow.
+"""
 
 from __future__ import annotations
 
@@ -14,19 +17,54 @@ from typing import Any, Literal
 
 import numpy as np
 
+from phase_sumo.arrays import FloatArray, IntArray
 from phase_sumo.bridge.maps.import_map import read_map
 from phase_sumo.bridge.maps.line_geometry import arc_length
 from phase_sumo.bridge.maps.net_xml import network_name
-from phase_sumo.bridge.maps.path_quality import lateral_kinks
 from phase_sumo.bridge.maps.road_lines import road_lines
 from phase_sumo.bridge.maps.stretches import cut
 from phase_sumo.config import REGIMES, ScenarioConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.bundle import MapBundle, bundle_key, load_if_current, load_key, save_bundle
-from phase_sumo.sim.lane_graph import build_lane_graph
+from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.pool import build_pool
 from phase_sumo.sim.road_build import build_road_map
+
+KINK = 0.3  # m sideways within 1 m of path that nothing on wheels follows
+TURN = 0.125  # rad/m, a circle of 8 m: what the rear axle of a tractor with a semitrailer can still drive
+
+
+def lateral_kinks(graph: LaneGraph) -> IntArray:
+    """[k] nodes at which a path leaves the straight continuation of the metre before by more than `KINK`.
+
+    Nodes lie about 1 m apart, so the sine of the turn from one step to the next is that distance in m.
+    """
+    node, turn, _ = _turns(graph)
+    return np.unique(node[(np.sin(np.minimum(turn, 0.5 * np.pi)) > KINK)])
+
+
+def turn_per_metre(graph: LaneGraph) -> FloatArray:
+    """[V] largest heading change per metre of path at every node, rad/m."""
+    node, turn, step = _turns(graph)
+    result = np.zeros(len(graph.node_xy))
+    np.maximum.at(result, node, turn / np.maximum(step, 0.5))
+    return result
+
+
+def _turns(graph: LaneGraph) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Every node between two others on a path: its index, the turn there in rad, the mean step in m."""
+    before, column = np.nonzero(graph.successor >= 0)
+    node = graph.successor[before, column].astype(np.int64)
+    row, column = np.nonzero(graph.successor[node] >= 0)
+    before, node = before[row], node[row]
+    after = graph.successor[node, column]
+    xy = graph.node_xy.astype(np.float64)
+    one, two = xy[node] - xy[before], xy[after] - xy[node]
+    across = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
+    turn = np.abs(np.arctan2(across, (one * two).sum(1)))
+    return node, turn, 0.5 * (np.hypot(*one.T) + np.hypot(*two.T))
+
 
 STRETCH = 500.0  # m
 SHORTEST_STRETCH = 200.0  # m: below, hardly any start finds a goal

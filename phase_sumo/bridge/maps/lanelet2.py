@@ -8,16 +8,15 @@ from pathlib import Path
 
 import numpy as np
 from lxml import etree  # type: ignore[attr-defined]  # has no stubs
-from numpy.typing import NDArray
 from pyproj import Proj
 
+from phase_sumo.arrays import FloatArray
 from phase_sumo.bridge.maps.import_map import read_map
 from phase_sumo.bridge.maps.net_xml import network_name, open_xml
 from phase_sumo.errors import PhaseError
 from phase_sumo.logs.recorded_roads import Strip, strip_road
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 
-FloatArray = NDArray[np.float64]
 REMEDY = "download the map again"
 ROADS = (
     None,

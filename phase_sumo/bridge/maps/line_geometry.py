@@ -6,10 +6,10 @@ import itertools
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.geometry import LineString
 
-FloatArray = NDArray[np.float64]
+from phase_sumo.arrays import FloatArray
+
 KINK = 0.05  # rad: sharper corners of a lane are rounded
 ROUNDING = 15.0  # m at either side of a corner over which it is rounded at most
 SHORTEST_CHORD = 5.0  # m: corners closer together count as one curve

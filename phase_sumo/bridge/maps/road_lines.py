@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from shapely.geometry import LineString, MultiLineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
+from phase_sumo.arrays import FloatArray, IntArray
 from phase_sumo.bridge.maps.line_geometry import arc_length, normals, resample
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 from phase_sumo.sim.near import abeam, pairs_within
@@ -18,8 +19,6 @@ from phase_sumo.sim.road_build import RoadLine
 from phase_sumo.sim.road_cells import point_segment_distance
 from phase_sumo.sim.road_map import RoadKind
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 TAPER = 40.0  # m over which the border closes after a lane's end or opens before its start
 CLOSE_GAP = 0.3  # m: gaps up to twice this between lanes belong to the road
 TOLERANCE = 0.05  # m of simplification

@@ -1,13 +1,15 @@
 """SUMO's own output files, made right for vehicles under the policy once SUMO has closed them.
 
 SUMO writes no lane change of a moved vehicle, takes it for one straight box, and counts whole lanes in its
-route length that it left sideways or was put back from. README says which outputs need nothing.
+route length that it left sideways or was put back from. README says which outputs need nothing. The files are
+written back whole or not at all.
 """
 
 from __future__ import annotations
 
+import gzip
 import math
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +17,39 @@ from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 
 from phase_sumo.bridge.fleet.event_log import Event, under_policy
 from phase_sumo.bridge.fleet.scene import REMOVED_BY_SUMO, Scene
-from phase_sumo.bridge.outputs.lane_changes import LaneChange, LaneChanges
-from phase_sumo.bridge.outputs.lane_ways import LaneWays
-from phase_sumo.bridge.outputs.route_lengths import RouteLengths
-from phase_sumo.bridge.outputs.sumo_xml import merge_by_time, read_output, write_output
+from phase_sumo.bridge.outputs.lane_records import LaneChange, LaneChanges, LaneWays, RouteLengths
+
+
+def read_output(path: Path) -> Any:
+    """The tree of an output file, compressed or not.
+
+    Raises:
+        OSError, etree.XMLSyntaxError: there is no such file, or it holds no XML.
+    """
+    content = path.read_bytes()
+    return etree.ElementTree(
+        etree.fromstring(gzip.decompress(content) if content[:2] == b"\x1f\x8b" else content)
+    )
+
+
+def write_output(path: Path, tree: Any) -> None:
+    """Replace the file, in the compression that its name says."""
+    content = etree.tostring(tree, xml_declaration=True, encoding="UTF-8") + b"\n"
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
+    part.replace(path)
+
+
+def merge_by_time(root: Any, fresh: Iterable[Any]) -> None:
+    """Put elements among those of the root, by their attribute ``time``."""
+    rows = sorted([*root, *fresh], key=lambda element: float(element.get("time")))
+    root[:] = rows
+    root.text = "\n    " if rows else "\n"
+    for row in rows:
+        row.tail = "\n    "
+    if rows:
+        rows[-1].tail = "\n"
+
 
 OUTPUTS = ("tripinfo-output", "collision-output", "lanechange-output", "statistic-output")
 

@@ -12,11 +12,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from phase_sumo.arrays import FloatArray
 from phase_sumo.sim.vehicles import VehicleShape
 
-FloatArray = NDArray[np.float64]
 Kind = Literal["car", "rigid", "articulated"]
 
 CAR_CLASSES = frozenset(

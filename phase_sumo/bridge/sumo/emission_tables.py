@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import sumolib
 
-from phase_sumo.evaluate.emissions import EmissionTable
+from phase_sumo.evaluate.measures import EmissionTable
 
 SPEED = (0.0, 50.0, 0.5)  # m/s: from, to, step
 ACCEL = (-10.0, 6.0, 0.1)  # m/s^2

@@ -9,20 +9,19 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_sumo.evaluate.realism.clusters import centroid_distances, k_means
+from phase_sumo.arrays import FloatArray, IntArray
 from phase_sumo.evaluate.realism.distances import (
     GAMMAS,
+    centroid_distances,
     coverage,
     energy_distance,
     frechet,
+    k_means,
     mmd,
     pair_sums,
 )
-from phase_sumo.evaluate.realism.likelihoods import UNITS, lane_change_rate, samples, wasserstein
-from phase_sumo.evaluate.realism.quantities import Quantities
+from phase_sumo.evaluate.realism.quantities import UNITS, Quantities, lane_change_rate, samples, wasserstein
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 RESAMPLES = 200
 SPLITS = 5  # halves of the real data for the floor
 INTERVAL = 2.5, 97.5  # percentiles

@@ -2,6 +2,10 @@
 
 After Scene Transformer (Ngiam et al. 2022): attention over time and over agents by turns, trained to fill in
 what is masked. Distances depend on the encoder, so figures of two encoders cannot be compared.
+
+It sees each vehicle with those around it, in the vehicle's own frame at the begin. Only places and sizes
+enter. Directions and speeds are differences of places, so that it does not matter how a log or a simulator
+defines them.
 """
 
 from __future__ import annotations
@@ -13,14 +17,65 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from phase_sumo.errors import PhaseError
-from phase_sumo.evaluate.realism.features import ALONG, ASIDE, FEATURES, FORWARDS, SIDEWAYS, THERE
+from phase_sumo.logs.recording import PERIOD, Recording
 
-WIDTH = 64  # of a token, and of the embedding
+STRIDE = 5  # samples of a recording from one token to the next
+AGENTS = 7  # the vehicle and the nearest ones around it
+RANGE = 100.0  # m within which they are looked for
+ALONG, ASIDE, FORWARDS, SIDEWAYS, SPEED, LENGTH, WIDTH, OWN, THERE = range(9)
+FEATURES = 9
+SCALE = np.array([20.0, 4.0, 10.0, 2.0, 20.0, 10.0, 2.0, 1.0, 1.0])
+
+
+def trajectories(scene: Recording) -> NDArray[np.int64]:
+    """[n] vehicles that are there from the first to the last sample."""
+    return np.flatnonzero(scene.present.all(1))
+
+
+def features(scene: Recording, rows: NDArray[np.int64]) -> Tensor:
+    """[n, `AGENTS`, T, `FEATURES`] float32 of the vehicles ``rows``, T samples `STRIDE` apart.
+
+    The frame of a vehicle has its origin at its first place and its x axis along its first direction, and
+    moves on with its first speed v_0. The features are, divided by `SCALE`: place along and aside in that
+    frame in m, speed along (less v_0) and aside in m/s, v_0 in m/s, length and width in m, 1 for the vehicle
+    itself, 1 where the vehicle of the token is there. All are 0 where it is not; the vehicle itself comes
+    first, then the others by their distance at the begin.
+    """
+    at = np.stack((scene.x, scene.y), -1)[:, ::STRIDE]
+    there = scene.present[:, ::STRIDE]
+    seconds = STRIDE * PERIOD
+    way = np.diff(at, axis=1, append=np.nan)
+    way[:, 1:] = np.where(np.isnan(way[:, 1:]), way[:, :-1], way[:, 1:])  # the last one has none ahead
+    clock = np.arange(at.shape[1]) * seconds
+    result = np.zeros((len(rows), AGENTS, at.shape[1], FEATURES))
+    for k, row in enumerate(rows.tolist()):
+        yaw = scene.yaw[row, 0]
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        turn = np.array([[cos, -sin], [sin, cos]])
+        speed = float((way[row, 0] @ turn)[0] / seconds)
+        apart = np.hypot(*(at[:, 0] - at[row, 0]).T)
+        near = np.argsort(np.where(there[:, 0] & (apart < RANGE), apart, np.inf), kind="stable")[:AGENTS]
+        near = near[there[near, 0] & (apart[near] < RANGE)]
+        place = (at[near] - at[row, 0]) @ turn
+        velocity = way[near] @ turn / seconds
+        token = result[k, : len(near)]
+        token[..., ALONG], token[..., ASIDE] = place[..., 0] - speed * clock, place[..., 1]
+        token[..., FORWARDS], token[..., SIDEWAYS] = velocity[..., 0] - speed, velocity[..., 1]
+        token[..., SPEED] = speed
+        token[..., LENGTH], token[..., WIDTH] = scene.length[near, None], scene.width[near, None]
+        token[..., OWN] = (near == row)[:, None]
+        token[..., THERE] = 1.0
+        token[~there[near]] = 0.0
+    return torch.from_numpy(np.nan_to_num(result / SCALE).astype(np.float32))
+
+
+TOKEN = 64  # of a token, and of the embedding
 HEADS = 4
 BLOCKS = 2
 BATCH = 64
@@ -54,15 +109,15 @@ class Forecaster(nn.Module):
 
     def __init__(self, times: int) -> None:
         super().__init__()
-        self.embed = nn.Linear(FEATURES + 1, WIDTH)  # the last one: it is masked
-        self.clock = nn.Parameter(0.02 * torch.randn(times, WIDTH))
+        self.embed = nn.Linear(FEATURES + 1, TOKEN)  # the last one: it is masked
+        self.clock = nn.Parameter(0.02 * torch.randn(times, TOKEN))
         self.over_time = nn.ModuleList(_layer() for _ in range(BLOCKS))
         self.over_agents = nn.ModuleList(_layer() for _ in range(BLOCKS))
-        self.norm = nn.LayerNorm(WIDTH)
-        self.head = nn.Linear(WIDTH, 4)
+        self.norm = nn.LayerNorm(TOKEN)
+        self.head = nn.Linear(TOKEN, 4)
 
     def tokens(self, x: Tensor, masked: Tensor) -> Tensor:
-        """[B, A, T, WIDTH]; ``masked`` [B, A, T] bool hides the motion of tokens, their presence is known."""
+        """[B, A, T, TOKEN]; ``masked`` [B, A, T] bool hides the motion of tokens, their presence is known."""
         batch, agents, times, _ = x.shape
         absent = x[..., THERE] == 0
         seen = x.clone()
@@ -72,9 +127,9 @@ class Forecaster(nn.Module):
         in_time = _blocked(absent.flatten(0, 1))
         in_scene = _blocked(absent.transpose(1, 2).flatten(0, 1))
         for along, across in zip(self.over_time, self.over_agents, strict=True):
-            t = along(t.flatten(0, 1), src_mask=in_time).view(batch, agents, times, WIDTH)
+            t = along(t.flatten(0, 1), src_mask=in_time).view(batch, agents, times, TOKEN)
             t = t.transpose(1, 2).flatten(0, 1)
-            t = across(t, src_mask=in_scene).view(batch, times, agents, WIDTH).transpose(1, 2)
+            t = across(t, src_mask=in_scene).view(batch, times, agents, TOKEN).transpose(1, 2)
         return self.norm(t)
 
     def loss(self, x: Tensor, masked: Tensor) -> Tensor:
@@ -88,7 +143,7 @@ class Forecaster(nn.Module):
 
 def _layer() -> nn.TransformerEncoderLayer:
     return nn.TransformerEncoderLayer(
-        WIDTH, HEADS, 2 * WIDTH, dropout=0.0, activation="gelu", batch_first=True, norm_first=True
+        TOKEN, HEADS, 2 * TOKEN, dropout=0.0, activation="gelu", batch_first=True, norm_first=True
     )
 
 
@@ -108,8 +163,8 @@ class Encoder:
 
     @torch.no_grad()
     def embed(self, x: Tensor) -> np.ndarray:
-        """[n, `WIDTH`] mean over time of the vehicle's own tokens, all of it seen, of features x [n, ...]."""
-        parts = [np.zeros((0, WIDTH))]
+        """[n, `TOKEN`] mean over time of the vehicle's own tokens, all of it seen, of features x [n, ...]."""
+        parts = [np.zeros((0, TOKEN))]
         for part in x.split(CHUNK) if len(x) else ():
             nothing = torch.zeros(part.shape[:3], dtype=torch.bool)
             parts.append(self.model.tokens(part, nothing)[:, 0].mean(1).double().numpy())

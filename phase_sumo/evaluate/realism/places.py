@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_sumo.arrays import FloatArray
 from phase_sumo.evaluate.trajectories import Trajectories
 from phase_sumo.logs.lane_matching import lane_places
 from phase_sumo.logs.recording import PERIOD, Recording
@@ -14,7 +15,6 @@ from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.near import nearest
 from phase_sumo.sim.polylines import Polylines
 
-FloatArray = NDArray[np.float64]
 SPACING = 1.0  # m between points of centre lines
 REACH = 20.0  # m from a lane within which its points are looked up
 

@@ -1,19 +1,40 @@
-"""Which windows of recorded traffic an encoder learns from, and on which models are tested."""
+"""Which windows of recorded traffic an encoder learns from, and on which models are tested.
+
+The same vehicles over the same samples: as recorded, and as a model drove them on.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count
 
 import numpy as np
 from torch import Tensor
 
-from phase_sumo.evaluate.realism.features import features, trajectories
-from phase_sumo.evaluate.realism.scenes import recorded
+from phase_sumo.evaluate.realism.encoder import features, trajectories
 from phase_sumo.logs.recording import PERIOD, Recording, Window
 from phase_sumo.logs.windows import windows
+
+
+def recorded(window: Window) -> Recording:
+    """The window's agents [N] over its steps + 1 samples, each up to where it is first lost."""
+    r = window.recording
+    span = slice(window.begin, window.begin + window.steps + 1)
+    there = np.arange(window.steps + 1) <= (window.last - window.begin)[:, None]
+    x, y, yaw, speed = (np.where(there, a[:, span], np.nan) for a in (r.x, r.y, r.yaw, r.speed))
+    return replace(r, present=there, x=x, y=y, yaw=yaw, speed=speed)
+
+
+def alike(simulated: Recording, log: Recording) -> Recording:
+    """The simulated samples of which the log has one, too: cameras see a stretch of road only."""
+    there = simulated.present & log.present
+    x, y, yaw, speed = (
+        np.where(there, a, np.nan) for a in (simulated.x, simulated.y, simulated.yaw, simulated.speed)
+    )
+    return replace(simulated, present=there, x=x, y=y, yaw=yaw, speed=speed)
+
 
 TRAINING_STRIDE = 1.0  # s from one window that the encoder learns from to the next
 TRAINING_WINDOWS = 128  # of one recording at most: the encoder takes 19,200 trajectories in all

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phase_sumo.arrays import FloatArray
 from phase_sumo.evaluate.fixed_worlds import Start
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.lane_graph import LaneGraph
-
-FloatArray = NDArray[np.float64]
 
 GOAL_TIME = 6.0  # s of driving at the initial speed to the goal
 CHANGE_SHARE = 0.5  # of the way after which the goal's path is in the other lane

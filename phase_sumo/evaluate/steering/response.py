@@ -7,13 +7,11 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phase_sumo.arrays import FloatArray
 from phase_sumo.evaluate.statistics import Estimate, bootstrap_mean
 from phase_sumo.evaluate.steering.egos import Ego
 from phase_sumo.evaluate.steering.outcomes import Context, Outcome, Stage
-
-FloatArray = NDArray[np.float64]
 
 LEVELS: dict[str, tuple[Any, ...]] = {
     "alpha": (0.1, 0.3, 0.5, 0.7, 1.0),

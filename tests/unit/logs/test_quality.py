@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import ArrayLike
 
 from phase_sumo.errors import PhaseError
-from phase_sumo.logs.kinds import kind_of
 from phase_sumo.logs.ngsim import savitzky_golay
-from phase_sumo.logs.quality import FLAGS, finished
+from phase_sumo.logs.recording import kind_of
+from phase_sumo.logs.windows import FLAGS, finished
 from tests.recordings import recording_of
 
 T = 200

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from phase_sumo.logs.recorded_vehicles import poses, shape
+from phase_sumo.logs.recording import poses, shape
 from phase_sumo.sim.vehicles import VehicleState, boxes
 from tests.recordings import recording_of
 
