@@ -31,11 +31,12 @@ bench: $(READY)
 	$(BIN)/phase-sumo bench --json out/bench.json
 
 paper: $(READY)
-	$(BIN)/python results/paper.py --logs $(LOGS)
+	$(BIN)/python -m tools.results.paper --logs $(LOGS)
 
 networks: $(READY)
-	$(BIN)/python networks/generate.py
-	$(BIN)/python networks/hard.py
+	$(BIN)/python -m tools.networks.generate
+	$(BIN)/python -m tools.networks.hard
+	$(BIN)/python -m tools.scenarios
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed; name one with make PYTHON=python3.x" if sys.version_info < (3, 11) else 0)'

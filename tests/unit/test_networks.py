@@ -16,12 +16,9 @@ import numpy as np
 import pytest
 import shapely
 import sumolib
+from scenarios.generate import generate as generate_scenario
 from shapely.geometry import LineString, MultiLineString
 
-from networks.features import features
-from networks.generate import SPECS, generate
-from networks.hard import generate as generate_hard
-from networks.traffic import run_sumo
 from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.bridge.maps.net_xml import parse_net
 from phase_sumo.bridge.maps.road_lines import road_edges
@@ -31,7 +28,11 @@ from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.pool import StartGoalPool
 from phase_sumo.sim.tuples import map_regime_tuples
-from scenarios.generate import generate as generate_scenario
+from tools.networks.features import features
+from tools.networks.generate import generate
+from tools.networks.hard import generate as generate_hard
+from tools.networks.specs import SPECS
+from tools.networks.traffic import run_sumo
 
 ROOT = Path(__file__).resolve().parents[2]
 NETWORKS = sorted((ROOT / "networks").glob("*.net.xml"))

@@ -1,6 +1,6 @@
 """Every table and figure of the paper for our policies, from what lies in this repository and recorded logs.
 
-python results/paper.py [--logs tracks:FILE commonroad:DIR exid:DIR ...]
+python -m tools.results.paper [--logs tracks:FILE commonroad:DIR exid:DIR ...]
 
 Writes tables.md, tables.json, curves.png, context.png, pools.png, steering.csv, steering.png and, with logs,
 clusters.png into results/. Without logs the tables that need them are left out.
@@ -9,12 +9,13 @@ clusters.png into results/. Without logs the tables that need them are left out.
 from __future__ import annotations
 
 import argparse
+import json
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-from phase_sumo.cli.files import held_out_maps, progress_bar, write_json
+from phase_sumo.bridge.maps.convert import build_bundle, read_stretches
 from phase_sumo.config import REGIMES
 from phase_sumo.evaluate.benchmark import load_benchmark, run_benchmark
 from phase_sumo.evaluate.fixed_worlds import policy_driver
@@ -22,8 +23,8 @@ from phase_sumo.policy.checkpoint import SHIPPED, load_policy
 from phase_sumo.report.study_figures import cluster_figure
 from phase_sumo.studies.log_protocol import evaluate_logs
 from phase_sumo.studies.realism import realism
+from tools.places import HELD_OUT, RESULTS, ROOT
 
-HERE = Path(__file__).resolve().parent
 MODELS = ("phase", "idm")
 PERCENT = ("goal_rate", "agent_collision_rate", "road_collision_rate", "success_rate")
 METRES = ("ade_5s", "fde_5s")
@@ -32,33 +33,28 @@ TITLES = ("GR %", "CR_a %", "CR_r %", "SR %", "ADE_5s m", "FDE_5s m")
 
 def policies() -> dict[str, Path]:
     """The shipped policy and those in results/policies, by name."""
-    return {"shipped": SHIPPED} | {p.stem: p for p in sorted((HERE / "policies").glob("*.safetensors"))}
+    return {"shipped": SHIPPED} | {p.stem: p for p in sorted((RESULTS / "policies").glob("*.safetensors"))}
 
 
 def measure(logs: list[str], out: Path) -> dict[str, Any]:
     """All numbers: zero-shot by policy and reference, benchmark by policy, realism of the shipped policy."""
     names = [file_name(log) for log in logs]
     found: dict[str, Any] = {"logs": names, "agent_steps": {}, "zero_shot": {}, "benchmark": {}}
-    benchmark = load_benchmark(held_out_maps())
+    benchmark = load_benchmark(
+        [build_bundle(part) for path in sorted(HELD_OUT.glob("*.net.xml")) for part in read_stretches(path)]
+    )
     for name, path in policies().items():
         policy = load_policy(path)
         found["agent_steps"][name] = policy.info.get("agent_steps")
-        with progress_bar(name) as progress:
-            found["benchmark"][name] = run_benchmark(
-                benchmark,
-                policy_driver(policy),
-                policy.actions,
-                progress=lambda share, progress=progress: progress(share, "benchmark"),
-            )
-            if logs:
-                result = evaluate_logs(logs, policy, references=name == "shipped", progress=progress)
-                references = result.pop("references")
-                found["zero_shot"] |= {name: result} | references
+        print(name, file=sys.stderr)
+        found["benchmark"][name] = run_benchmark(benchmark, policy_driver(policy), policy.actions)
+        if logs:
+            result = evaluate_logs(logs, policy, references=name == "shipped")
+            references = result.pop("references")
+            found["zero_shot"] |= {name: result} | references
     if logs:
-        with progress_bar("realism") as progress:
-            found["realism"] = realism(logs, MODELS, out, draw=cluster_figure, progress=progress) | {
-                "logs": names
-            }
+        print("realism", file=sys.stderr)
+        found["realism"] = realism(logs, MODELS, out, draw=cluster_figure) | {"logs": names}
     return found
 
 
@@ -70,7 +66,12 @@ def file_name(log: str) -> str:
 
 def tables(found: dict[str, Any]) -> str:
     """Markdown, in the paper's order."""
-    parts = ["# Tables", "", "Written by `python results/paper.py`; what they mean is in the README.", ""]
+    parts = [
+        "# Tables",
+        "",
+        "Written by `python -m tools.results.paper`; what they mean is in the README.",
+        "",
+    ]
     if found["zero_shot"]:
         parts += _zero_shot(found)
     if "realism" in found:
@@ -159,19 +160,20 @@ def _spread(value: dict[str, float | None], scale: float, digits: int) -> str:
 
 
 def figures() -> None:
-    for script in ("curves.py", "context.py", "pools.py"):
-        subprocess.run([sys.executable, str(HERE / script)], check=True, stdout=subprocess.DEVNULL)
-    subprocess.run([sys.executable, "-m", "phase_sumo", "steer", "--out", str(HERE)], check=True)
+    for script in ("curves", "context", "pools"):
+        command = [sys.executable, "-m", f"tools.results.{script}"]
+        subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, "-m", "phase_sumo", "steer", "--out", str(RESULTS)], check=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Tables and figures of the paper for our policies.")
     parser.add_argument("--logs", nargs="*", default=[], metavar="SRC", help="as for phase-sumo evaluate")
     args = parser.parse_args()
-    found = measure(args.logs, HERE)
-    (HERE / "encoder.safetensors").unlink(missing_ok=True)  # learnt from logs that are not ours to pass on
-    write_json(HERE / "tables.json", found)
-    (HERE / "tables.md").write_text(tables(found))
+    found = measure(args.logs, RESULTS)
+    (RESULTS / "encoder.safetensors").unlink(missing_ok=True)  # learnt from logs that are not ours to pass on
+    (RESULTS / "tables.json").write_text(json.dumps(found, indent=1) + "\n")
+    (RESULTS / "tables.md").write_text(tables(found))
     figures()
 
 

@@ -1,6 +1,6 @@
 """Networks that are harder to drive than a freeway should be: tight loops, winding ramps, roads with kinks.
 
-    python networks/hard.py        # into networks/hard
+    python -m tools.networks.hard        # into networks/hard
 
 Real interchanges have loops of 25 to 35 m radius and ramps of less, and many a user's network is drawn as
 straight edges that meet at an angle. The result is the same on every run.
@@ -9,23 +9,20 @@ straight edges that meet at an angle. The result is the same on every run.
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from tools.networks.alignment import RampShape
+from tools.networks.build import build
+from tools.networks.draw import Draw
+from tools.networks.plain_xml import netconvert, run_netconvert
+from tools.networks.specs import RECIPES
+from tools.places import NETWORKS
+
 Points = list[tuple[float, float]]
-HERE = Path(__file__).resolve().parent
-sys.path.append(str(HERE.parent))
-
-from networks.alignment import RampShape  # noqa: E402
-from networks.build import build  # noqa: E402
-from networks.draw import Draw  # noqa: E402
-from networks.plain_xml import netconvert, run_netconvert  # noqa: E402
-from networks.specs import RECIPES  # noqa: E402
-
 TIGHTER = 0.56  # of the loops' radii
 LOOPS = ("f14_collector2", "f22_loops2")
 KINKS = {"f23_kinks2": (2, 1), "f24_kinks3": (3, 2), "f25_kinks1": (1, 3)}  # lanes and seed
@@ -143,5 +140,5 @@ def generate(folder: Path) -> list[Path]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Generate the hard training networks with netconvert.")
-    parser.add_argument("--out", type=Path, default=HERE / "hard", help="folder to write to")
+    parser.add_argument("--out", type=Path, default=NETWORKS / "hard", help="folder to write to")
     print(*generate(parser.parse_args().out), sep="\n")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from networks.draw import Draw
-from networks.spec import Collector, Section, Spec
+from tools.networks.draw import Draw
+from tools.networks.spec import Collector, Section, Spec
 
 Recipe = Callable[[Draw], Spec]
 STRAIGHT = ((1.0, 0.0),)

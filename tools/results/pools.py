@@ -1,6 +1,6 @@
 """Draws results/pools.png: start-goal pools of one held-out map in all four traffic regimes.
 
-python results/pools.py [NETWORK]
+python -m tools.results.pools [NETWORK]
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import REGIMES
 from phase_sumo.report.render_road import draw_road, turned
 from phase_sumo.sim.bundle import MapBundle
+from tools.places import HELD_OUT, RESULTS
 
 matplotlib.use("Agg")
 
-HERE = Path(__file__).resolve().parent
-NETWORK = HERE.parent / "networks" / "held_out" / "h02_exit_drop4.net.xml"
+NETWORK = HELD_OUT / "h02_exit_drop4.net.xml"
 PAIRS = 24  # drawn of each regime
 START, GOAL, INK, GRID = "#d62728", "#2ca02c", "#2b2f36", "#e3e6ea"
 CHANGES = {
@@ -86,7 +86,7 @@ def _pairs(axes: Axes, bundle: MapBundle, regime: int, yaw: float) -> None:
 
 def main() -> None:
     network = Path(sys.argv[1]) if len(sys.argv) > 1 else NETWORK
-    draw(build_bundle(read_network(network))).savefig(HERE / "pools.png")
+    draw(build_bundle(read_network(network))).savefig(RESULTS / "pools.png")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Makes the worlds of the public benchmark anew: phase_sumo/evaluate/benchmark.npz and benchmark.json.
 
-python networks/benchmark.py
+python -m tools.networks.benchmark
 
 Results with other worlds compare with no earlier ones: only a new version of the benchmark has new worlds.
 """
@@ -8,15 +8,14 @@ Results with other worlds compare with no earlier ones: only a new version of th
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 
 from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.evaluate import benchmark
+from tools.places import HELD_OUT
 
-HELD_OUT = Path(__file__).resolve().parent / "held_out"
 VERSION, SEED = 1, 2026
 
 

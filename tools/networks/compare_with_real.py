@@ -1,6 +1,6 @@
 """Compare the generated training networks with real freeways: a picture and a table in README.md.
 
-    python networks/compare_with_real.py --real FOLDER
+    python -m tools.networks.compare_with_real --real FOLDER
 
 FOLDER holds ``.net.xml`` files of real freeways, for instance cut out of OpenStreetMap and converted by
 netconvert; none are shipped.
@@ -9,7 +9,6 @@ netconvert; none are shipped.
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -18,14 +17,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-HERE = Path(__file__).resolve().parent
-sys.path.append(str(HERE.parent))
-
-from networks.measure import Measures, Sample, measure  # noqa: E402
-from networks.readme import fill, table  # noqa: E402
+from tools.networks.measure import Measures, Sample, measure
+from tools.networks.readme import fill, table
+from tools.places import NETWORKS
 
 matplotlib.use("Agg")
-PICTURE = HERE / "comparison.png"
+PICTURE = NETWORKS / "comparison.png"
 OURS, REAL = "#1f4ed8", "#e07b00"
 
 
@@ -119,7 +116,9 @@ def comparison_table(ours: Measures, real: Measures) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Compare the generated networks with real freeways.")
     parser.add_argument("--real", type=Path, required=True, help="folder with .net.xml of real freeways")
-    parser.add_argument("--ours", type=Path, default=HERE, help="folder of networks (default: this one)")
+    parser.add_argument(
+        "--ours", type=Path, default=NETWORKS, help="folder of networks (default: the shipped ones)"
+    )
     args = parser.parse_args()
     (ours, count), (real, real_count) = load(args.ours), load(args.real)
     draw(ours, real, (f"{count} generated", f"{real_count} real US stretches"), PICTURE)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from networks.alignment import Alignment, RampShape
-from networks.spec import Section, Spec
+from tools.networks.alignment import Alignment, RampShape
+from tools.networks.spec import Section, Spec
+from tools.places import NETWORKS
 
-README = Path(__file__).resolve().parent / "README.md"
+README = NETWORKS / "README.md"
 
 
 def fill(part: str, text: str, readme: Path = README) -> None:

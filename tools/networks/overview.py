@@ -1,11 +1,10 @@
 """A contact sheet of all networks, drawn from the converted maps, and their table in README.md.
 
-python networks/overview.py
+python -m tools.networks.overview
 """
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,16 +15,14 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-HERE = Path(__file__).resolve().parent
-sys.path.append(str(HERE.parent))
-
-from networks.readme import fill, network_table  # noqa: E402
-from networks.specs import SPECS  # noqa: E402
-from phase_sumo.bridge.maps.line_geometry import normals  # noqa: E402
-from phase_sumo.bridge.maps.road_lines import lane_boundaries, road_edges  # noqa: E402
-from phase_sumo.bridge.maps.sumo_network import read_network  # noqa: E402
-from phase_sumo.sim.lanes import Lane, LaneNetwork  # noqa: E402
-from phase_sumo.sim.road_map import RoadKind  # noqa: E402
+from phase_sumo.bridge.maps.line_geometry import normals
+from phase_sumo.bridge.maps.road_lines import lane_boundaries, road_edges
+from phase_sumo.bridge.maps.sumo_network import read_network
+from phase_sumo.sim.lanes import Lane, LaneNetwork
+from phase_sumo.sim.road_map import RoadKind
+from tools.networks.readme import fill, network_table
+from tools.networks.specs import SPECS
+from tools.places import NETWORKS
 
 matplotlib.use("Agg")
 FILE = "overview.png"
@@ -102,10 +99,10 @@ def _outline(lane: Lane) -> NDArray[np.float64]:
 
 
 def main() -> None:
-    networks = [*sorted(HERE.glob("*.net.xml")), *sorted((HERE / "held_out").glob("*.net.xml"))]
-    draw_overview(networks, HERE / FILE)
+    networks = [*sorted(NETWORKS.glob("*.net.xml")), *sorted((NETWORKS / "held_out").glob("*.net.xml"))]
+    draw_overview(networks, NETWORKS / FILE)
     fill("networks", network_table(SPECS))
-    print(HERE / FILE)
+    print(NETWORKS / FILE)
 
 
 if __name__ == "__main__":

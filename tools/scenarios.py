@@ -1,6 +1,6 @@
 """Generate the shipped scenarios: a network, its demand and the configuration that runs them.
 
-    python scenarios/generate.py
+    python -m tools.scenarios
 
 ``merge`` is the scenario of the demo: a three-lane freeway of 2.5 km in a gentle curve, an on-ramp with an
 acceleration lane at 0.8 km and an off-ramp with a deceleration lane at 1.8 km. About 300 cars and
@@ -10,15 +10,14 @@ articulated trucks enter within six and a half minutes. The files are the same o
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-
-from networks.generate import Section, Spec, build, netconvert  # noqa: E402
+from tools.networks.build import build
+from tools.networks.plain_xml import netconvert
+from tools.networks.spec import Section, Spec
+from tools.places import SCENARIOS
 
 MERGE = Spec(
     "merge",
@@ -121,7 +120,7 @@ def configuration(name: str) -> str:
 """
 
 
-def generate(folder: Path = HERE) -> Path:
+def generate(folder: Path = SCENARIOS) -> Path:
     """Write the scenario ``merge`` into ``folder/merge``; returns its ``.sumocfg``."""
     target = folder / MERGE.name
     target.mkdir(parents=True, exist_ok=True)
@@ -136,7 +135,9 @@ def generate(folder: Path = HERE) -> Path:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Generate the shipped scenarios.")
-    parser.add_argument("--out", type=Path, default=HERE, help="folder to write to (default: this one)")
+    parser.add_argument(
+        "--out", type=Path, default=SCENARIOS, help="folder to write to (default: the shipped ones)"
+    )
     print(generate(parser.parse_args().out))
 
 

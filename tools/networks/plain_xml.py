@@ -11,7 +11,7 @@ from xml.sax.saxutils import quoteattr
 
 import sumolib
 
-from networks.alignment import Line
+from tools.networks.alignment import Line
 
 LANE_WIDTH = 3.66  # m, the US standard
 CLASSES = (

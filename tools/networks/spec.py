@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from networks.alignment import RampShape
-from networks.plain_xml import LANE_WIDTH
+from tools.networks.alignment import RampShape
+from tools.networks.plain_xml import LANE_WIDTH
 
 MAIN_SPEED = 29.0  # m/s
 

@@ -1,13 +1,12 @@
 """Draws results/context.png: one scene driven under four contexts of one vehicle, all else equal.
 
-python results/context.py [POLICY]
+python -m tools.results.context [POLICY]
 """
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -25,11 +24,11 @@ from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.report.render_road import draw_road, turned
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.vehicles import HISTORY, Task, VehicleShape, VehicleState, boxes
+from tools.places import NETWORKS, RESULTS
 
 matplotlib.use("Agg")
 
-HERE = Path(__file__).resolve().parent
-NETWORK = HERE.parent / "networks" / "f01_straight3.net.xml"
+NETWORK = NETWORKS / "f01_straight3.net.xml"
 SHOWN = (0.0, 2.0, 4.0, 6.0)  # s at which vehicles are drawn
 BEGIN = 60.0  # m along the road at which the ego starts
 GOAL_TIME = 6.5  # s of target speed to the goals
@@ -240,7 +239,7 @@ def _corners(box: np.ndarray, yaw: float) -> np.ndarray:
 def main() -> None:
     bundle = build_bundle(read_network(NETWORK))
     begin, states, there = roll_out(bundle, sys.argv[1] if len(sys.argv) > 1 else None)
-    draw(bundle, begin, states, there).savefig(HERE / "context.png")
+    draw(bundle, begin, states, there).savefig(RESULTS / "context.png")
 
 
 if __name__ == "__main__":

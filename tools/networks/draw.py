@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from networks.alignment import RampShape
-from networks.plain_xml import LANE_WIDTH
-from networks.spec import Section, Spec
+from tools.networks.alignment import RampShape
+from tools.networks.plain_xml import LANE_WIDTH
+from tools.networks.spec import Section, Spec
 
 SEED = 1000  # of fifteen, the one whose networks resemble real ones most
 MPH = 0.44704  # m/s

@@ -1,7 +1,7 @@
 """Generate our own freeway networks: plain XML, then netconvert.
 
-    python networks/generate.py            # all networks and tuples.csv
-    python networks/generate.py f04_onramp3
+    python -m tools.networks.generate            # all networks and tuples.csv
+    python -m tools.networks.generate f04_onramp3
 
 Every network is a freeway of about 550 m; `specs` says what each one is. The result is the same on every
 run: all dimensions are drawn with fixed seeds and netconvert's comment with time and options is removed.
@@ -10,22 +10,17 @@ run: all dimensions are drawn with fixed seeds and netconvert's comment with tim
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-sys.path.append(str(HERE.parent))
-
-from networks.build import build  # noqa: E402
-from networks.plain_xml import LANE_WIDTH, netconvert  # noqa: E402
-from networks.spec import Section, Spec  # noqa: E402
-from networks.specs import SPECS  # noqa: E402
-from networks.tuples import write_tuples  # noqa: E402
-
-__all__ = ["LANE_WIDTH", "SPECS", "Section", "Spec", "build", "generate", "netconvert"]
+from tools.networks.build import build
+from tools.networks.plain_xml import netconvert
+from tools.networks.spec import Spec
+from tools.networks.specs import SPECS
+from tools.networks.tuples import write_tuples
+from tools.places import NETWORKS
 
 
-def generate(spec: Spec, folder: Path = HERE) -> Path:
+def generate(spec: Spec, folder: Path = NETWORKS) -> Path:
     """Write the plain sources and the network of one spec; returns the ``.net.xml``."""
     plain = folder / "plain"
     target = folder / "held_out" if spec.held_out else folder
@@ -39,7 +34,9 @@ def generate(spec: Spec, folder: Path = HERE) -> Path:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Generate the shipped freeway networks with netconvert.")
     parser.add_argument("names", nargs="*", help="networks to generate (default: all, and tuples.csv)")
-    parser.add_argument("--out", type=Path, default=HERE, help="folder to write to (default: this one)")
+    parser.add_argument(
+        "--out", type=Path, default=NETWORKS, help="folder to write to (default: the shipped ones)"
+    )
     args = parser.parse_args()
     known = {spec.name: spec for spec in SPECS}
     if unknown := [name for name in args.names if name not in known]:

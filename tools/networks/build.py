@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from networks.alignment import Alignment, Line, Opposite, RampShape, Road, blend, line
-from networks.plain_xml import PlainNetwork
-from networks.spec import Collector, Spec
+from tools.networks.alignment import Alignment, Line, Opposite, RampShape, Road, blend, line
+from tools.networks.plain_xml import PlainNetwork
+from tools.networks.spec import Collector, Spec
 
 PLAIN_JUNCTION = 4.0  # m
 

@@ -1,6 +1,6 @@
 """Thins the curves of training runs into results/curves and draws all that lie there.
 
-python results/curves.py [PRESET-SEED=RUN or PRESET-LENGTH-SEED=RUN ...]
+python -m tools.results.curves [PRESET-SEED=RUN or PRESET-LENGTH-SEED=RUN ...]
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from tools.places import RESULTS
+
 matplotlib.use("Agg")
 
-HERE = Path(__file__).resolve().parent
 BIN = 100_000  # agent steps that a row of a thinned curve covers
 RATES = ("goal_rate", "collision_rate", "at_fault_rate", "road_edge_rate", "success_rate")
 HELD_OUT = (
@@ -67,18 +68,18 @@ def keep(name: str, run: Path) -> None:
     """Write the thinned curve of a run and its configuration."""
     rows = thinned(run)
     columns = ["steps", "cpu_seconds", "wall_seconds", "rho", *RATES, *HELD_OUT]
-    with (HERE / "curves" / f"{name}.csv").open("w", newline="") as file:
+    with (RESULTS / "curves" / f"{name}.csv").open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows([f"{row[c]:.6g}" if c in row else "" for c in columns] for row in rows)
     config = json.loads((run / "config.json").read_text())
-    (HERE / "curves" / f"{name}.json").write_text(json.dumps(config, indent=1) + "\n")
+    (RESULTS / "curves" / f"{name}.json").write_text(json.dumps(config, indent=1) + "\n")
 
 
 def stored() -> dict[str, list[list[Row]]]:
     """The curves in results/curves by preset (and length, where it is named), one list of rows per seed."""
     curves: dict[str, list[list[Row]]] = {preset: [] for preset in PRESETS}
-    for path in sorted((HERE / "curves").glob("*.csv")):
+    for path in sorted((RESULTS / "curves").glob("*.csv")):
         with path.open() as file:
             rows = [{n: float(cell) for n, cell in row.items() if cell} for row in csv.DictReader(file)]
         curves.setdefault(path.stem.rpartition("-")[0], []).append(rows)
@@ -140,7 +141,7 @@ def main() -> None:
         name, _, run = argument.partition("=")
         keep(name, Path(run))
     curves = stored()
-    draw(curves, HERE / "curves.png")
+    draw(curves, RESULTS / "curves.png")
     print(table(curves))
 
 

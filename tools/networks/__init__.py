@@ -1,0 +1,1 @@
+"""The shipped freeway networks: what they are, made, measured and shown."""
