@@ -1,36 +1,38 @@
-"""Shared fixtures: toy roads built by hand, and one torch thread so that results do not depend on cores."""
+"""Fixtures for all tests, their order, and one torch thread so that results do not depend on cores."""
 
 from __future__ import annotations
 
-import numpy as np
+from pathlib import Path
+
 import pytest
 import torch
 
 from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.sim.bundle import MapBundle
-from phase_sumo.sim.lanes import Lane, LaneNetwork
+from tests.helpers.places import NOT_SHARED
+from tests.helpers.straight_road import straight_network
+
+INTEGRATION = Path(__file__).parent / "integration"
 
 torch.set_num_threads(1)
-
-
-def straight_network(lanes: int = 3, length: float = 500.0, width: float = 3.66) -> LaneNetwork:
-    """A straight road to the east; lane 0 is the rightmost, its centre at y = 0."""
-    made = tuple(
-        Lane(
-            id=f"road_{k}",
-            edge="road",
-            points=np.array([[0.0, k * width], [length, k * width]]),
-            width=width,
-            speed_limit=30.0,
-            length=length,
-            left=k + 1 if k + 1 < lanes else -1,
-            right=k - 1,
-        )
-        for k in range(lanes)
-    )
-    return LaneNetwork("straight", made, ())
 
 
 @pytest.fixture(scope="session")
 def straight_map() -> MapBundle:
     return build_bundle(straight_network())
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests of `integration/` carry the mark and come last."""
+    for item in items:
+        if INTEGRATION in item.path.parents:
+            item.add_marker(pytest.mark.integration)
+    items.sort(key=lambda item: item.get_closest_marker("integration") is not None)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """How many tests were skipped because the data that is not shipped is not there."""
+    skipped = terminalreporter.stats.get("skipped", [])
+    count = sum(NOT_SHARED in str(report.longrepr) for report in skipped)
+    if count:
+        terminalreporter.write_line(f"{count} tests skipped, {NOT_SHARED}")

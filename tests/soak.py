@@ -18,8 +18,8 @@ from typing import Any
 import sumolib
 
 from phase_sumo.bridge.run import run_scenario
-from tests.scenario_files import write_scenario
-from tests.standin import Standin
+from tests.helpers.scenario_files import write_scenario
+from tests.helpers.standin import Standin
 
 SPEED = 25.0  # m/s, about what the flow drives
 FLOW = 2.0  # vehicles/s on four lanes

@@ -16,9 +16,9 @@ from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.config import RewardConfig, SimConfig
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.worlds import Worlds, look
-from tests.conftest import straight_network
-from tests.factories import car_shape, task_to, truck_shape, vehicle_state
-from tests.rollouts import drive, place, token
+from tests.helpers.factories import car_shape, task_to, truck_shape, vehicle_state
+from tests.helpers.rollouts import drive, place, token
+from tests.helpers.straight_road import straight_network
 
 EXPECTED = Path(__file__).with_name("rollout.json")
 LANE = 3.66  # m

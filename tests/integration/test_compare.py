@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
 import pytest
 
@@ -17,9 +16,10 @@ from phase_sumo.evaluate.traffic import delay
 from phase_sumo.evaluate.trajectories import Trajectories
 from phase_sumo.report.comparison_page import write_report
 from phase_sumo.studies.compare import compare
-from tests.standin import Standin
+from tests.helpers.places import NETWORKS
+from tests.helpers.standin import Standin
 
-NETWORK = Path(__file__).parents[2] / "networks" / "f04_onramp3.net.xml"
+NETWORK = NETWORKS / "f04_onramp3.net.xml"
 ROUTES = """<routes>
     <vType id="car" vClass="passenger" length="4.8" width="1.9" speedFactor="normc(0.9,0.1,0.7,1.1)"/>
     <vType id="semi" vClass="trailer" length="20.0" width="2.55"

@@ -11,9 +11,9 @@ import pytest
 from phase_sumo.cli import main
 from phase_sumo.logs.windows import windows
 from phase_sumo.studies import log_protocol
-from tests.log_files import write_commonroad, write_levelx, write_tracks
-from tests.small_nets import SmallNet, lanes_from
-from tests.steady_recordings import recording
+from tests.helpers.log_files import write_commonroad, write_levelx, write_tracks
+from tests.helpers.small_nets import SmallNet, lanes_from
+from tests.helpers.steady_recordings import recording
 
 RATES = ("goal_rate", "agent_collision_rate", "road_collision_rate", "success_rate")
 

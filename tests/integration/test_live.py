@@ -8,7 +8,6 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import libsumo
 import pytest
@@ -20,9 +19,9 @@ from phase_sumo.bridge.fleet import drivers
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.cli import main
 from phase_sumo.errors import PhaseError
-from tests.standin import Standin
+from tests.helpers.places import ROOT
+from tests.helpers.standin import Standin
 
-ROOT = Path(__file__).parents[2]
 NETWORK = ROOT / "networks" / "f04_onramp3.net.xml"
 TYPES = """
     <vType id="plain" length="4.8" width="1.9" speedFactor="0.8" speedDev="0"/>
@@ -334,7 +333,7 @@ def test_the_example_runs(tmp_path):
 @pytest.mark.skipif(not shutil.which("Xvfb"), reason="a window needs Xvfb, which is not installed")
 def test_sumos_window(scenario):
     code = (
-        "from phase_sumo.bridge.run import run_scenario; from tests.standin import Standin; "
+        "from phase_sumo.bridge.run import run_scenario; from tests.helpers.standin import Standin; "
         f"r = run_scenario({str(scenario(*MARKED))!r}, policy=Standin(), seed=1, end=3, gui=True); "
         "assert r['phase_vehicles'] > 0"
     )

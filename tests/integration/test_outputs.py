@@ -18,9 +18,10 @@ from phase_sumo.bridge.fleet import fleet
 from phase_sumo.bridge.fleet.event_log import read_events, under_policy
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.bridge.sumo.emission_tables import emission_tables
-from tests.standin import Standin
+from tests.helpers.places import NETWORKS
+from tests.helpers.standin import Standin
 
-NETWORK = Path(__file__).parents[2] / "networks" / "f04_onramp3.net.xml"
+NETWORK = NETWORKS / "f04_onramp3.net.xml"
 SCHEMAS = Path(sumolib.checkBinary("sumo")).parents[1] / "data" / "xsd"
 ROUTES = """<routes>
     <vType id="car" vClass="passenger" length="4.8" width="1.9" speedFactor="normc(0.9,0.1,0.7,1.1)"/>

@@ -25,9 +25,9 @@ from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.pool import TIGHTEST, build_pool
 from phase_sumo.sim.road_build import build_road_map
+from tests.helpers.places import NOT_SHARED, ROOT, SHARED
 
-ROOT = Path(__file__).resolve().parents[2]
-REAL = ROOT.parent / "shared" / "nets"  # real networks that are not shipped
+REAL = SHARED / "nets"  # real networks that are not shipped
 A10 = Path(sumo.SUMO_HOME) / "tools" / "game" / "A10KW" / "osm.net.xml"
 SHIPPED = [*(ROOT / "networks").rglob("*.net.xml"), *(ROOT / "scenarios").rglob("*.net.xml")]
 FILES = sorted(SHIPPED) + sorted(REAL.rglob("*.net.xml")) + [A10]
@@ -55,7 +55,7 @@ def road(path) -> tuple[LaneNetwork, LaneGraph]:
 
 def test_the_real_networks_are_there():
     if not REAL.is_dir():
-        pytest.skip(f"the folder of real networks ({REAL.name}) is not beside the repository")
+        pytest.skip(f"{NOT_SHARED}/nets")
     assert len(list(REAL.rglob("*.net.xml"))) >= 20
 
 

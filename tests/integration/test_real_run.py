@@ -8,8 +8,9 @@ import pytest
 import sumo
 
 from phase_sumo.bridge.run import run_scenario
+from tests.helpers.places import NOT_SHARED, SHARED
 
-US = Path(__file__).parents[3] / "shared" / "nets" / "us"
+US = SHARED / "nets" / "us"
 A10 = Path(sumo.SUMO_HOME) / "tools" / "game" / "A10KW.sumocfg"
 
 
@@ -28,7 +29,7 @@ def check(result: dict, least: int) -> None:
 def test_a_real_us_stretch(name: str, tmp_path: Path):
     scenario = US / f"{name}.sumocfg"
     if not scenario.is_file():
-        pytest.skip("the folder of real US stretches (shared/nets/us) is not beside the repository")
+        pytest.skip(f"{NOT_SHARED}/nets/us")
     result = run_scenario(scenario, seed=1, end=60.0, output_dir=tmp_path)
     check(result, least=10)
     assert (tmp_path / "events.csv").is_file() and (tmp_path / "trips.csv").is_file()

@@ -9,7 +9,7 @@ from phase_sumo import cli
 from phase_sumo.errors import PhaseError
 from phase_sumo.report.study_figures import cluster_figure
 from phase_sumo.studies import realism as command
-from tests.standin import Standin
+from tests.helpers.standin import Standin
 
 
 @pytest.fixture(scope="module")

@@ -20,8 +20,8 @@ from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.outputs.lane_records import LaneChanges
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.bridge.sumo.session import Simulation
-from tests.scenario_files import write_scenario
-from tests.standin import Standin
+from tests.helpers.scenario_files import write_scenario
+from tests.helpers.standin import Standin
 
 JOINTS = (0, 250, 500, 560, 600, 850, 1100)  # m: between edges
 START = 20.0  # m

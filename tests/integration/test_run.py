@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -14,9 +13,10 @@ from phase_sumo.bridge.sumo.session import Session
 from phase_sumo.cli import main
 from phase_sumo.errors import PhaseError
 from phase_sumo.studies.processes import run_all
-from tests.standin import Standin
+from tests.helpers.places import NETWORKS
+from tests.helpers.standin import Standin
 
-NETWORK = Path(__file__).parents[2] / "networks" / "f04_onramp3.net.xml"
+NETWORK = NETWORKS / "f04_onramp3.net.xml"
 ROUTES = """<routes>
     <vType id="car" vClass="passenger" length="4.8" width="1.9" speedFactor="normc(0.9,0.1,0.7,1.1)"/>
     <vType id="semi" vClass="trailer" length="20.0" width="2.55"

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from phase_sumo.bridge.run import run_scenario
-from tests.parity.scenes import SCENE, write_scenario
-from tests.standin import Standin
+from tests.helpers.parity_scenes import SCENE, write_scenario
+from tests.helpers.standin import Standin
 
 FCD = '<fcd-output value="fcd.xml"/><fcd-output.acceleration value="true"/><precision value="6"/>'
 COLUMNS = ("x", "y", "speed", "acceleration")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import subprocess
 import sys
 import tomllib
-from pathlib import Path
 
 from phase_sumo.sim.bundle import save_bundle
-from tests.curves import read_curve
+from tests.helpers.curves import read_curve
+from tests.helpers.places import ROOT
 
-PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 NEEDED = {"torch", "numpy", "safetensors"}
 # modules that have other names than their packages, or come with them
 ALSO = {"sumo", "traci", "mpl_toolkits", "PIL"}

@@ -23,7 +23,7 @@ from phase_sumo.sim.bundle import MapBundle, save_bundle
 from phase_sumo.train import disk
 from phase_sumo.train.loop import Trainer
 from phase_sumo.train.run_folder import RunFolder
-from tests.curves import read_curve, read_tensorboard
+from tests.helpers.curves import read_curve, read_tensorboard
 
 CONFIG = dataclasses.replace(
     preset("smoke"), worlds=8, slots=8, rollout=4, minibatch=32, total_steps=1600, checkpoint_every=1

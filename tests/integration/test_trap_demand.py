@@ -13,8 +13,9 @@ import sumolib
 
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.errors import PhaseError
-from tests.scenario_files import FLOW, NETWORKS, write_scenario
-from tests.standin import Standin
+from tests.helpers.places import NETWORKS
+from tests.helpers.scenario_files import FLOW, write_scenario
+from tests.helpers.standin import Standin
 
 
 def vehicle(

@@ -15,8 +15,8 @@ import torch
 
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.errors import PhaseError
-from tests.scenario_files import FLOW, TYPES, write_scenario
-from tests.standin import Standin
+from tests.helpers.scenario_files import FLOW, TYPES, write_scenario
+from tests.helpers.standin import Standin
 
 OUTPUTS = '<fcd-output value="fcd.xml"/><tripinfo-output value="trips.xml"/>'
 VEHICLE = '<vehicle id="{}" type="car" depart="{}" departSpeed="20"><route edges="{}"/></vehicle>'

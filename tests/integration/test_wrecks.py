@@ -8,7 +8,7 @@ from phase_sumo.bridge.fleet.contacts import WRECK_SECONDS
 from phase_sumo.bridge.fleet.event_log import read_events
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.config import ActionConfig, SimConfig
-from tests.scenario_files import write_scenario
+from tests.helpers.scenario_files import write_scenario
 
 VEHICLE = (
     '<vehicle id="{}" type="car" depart="0" departLane="0" departPos="{}" departSpeed="{}" '

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from phase_sumo import load_policy
@@ -12,8 +10,7 @@ from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import TrainConfig
 from phase_sumo.evaluate.synthetic import evaluate_synthetic
 from phase_sumo.sim.bundle import MapBundle
-
-NETWORKS = Path(__file__).parents[2] / "networks"
+from tests.helpers.places import NETWORKS
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from phase_sumo.bridge.maps.sumo_network import read_network
+from tests.helpers.parity_scenes import SCENE, write_scenario
+from tests.helpers.places import NETWORKS
+from tests.helpers.standin import Standin
 from tests.parity.recording import Recording, record
-from tests.parity.scenes import NETWORKS, SCENE, write_scenario
-from tests.standin import Standin
 
 FCD = '<fcd-output value="fcd.xml"/><fcd-output.acceleration value="true"/><precision value="9"/>'
 

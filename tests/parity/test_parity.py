@@ -14,10 +14,11 @@ from phase_sumo.bridge.fleet.table import STATE
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.bridge.sumo.conventions import yaw_from_angle
 from phase_sumo.sim.observation import Observation
+from tests.helpers.parity_scenes import RECKLESS_SCENE, SCENE, write_scenario
+from tests.helpers.places import NETWORKS
+from tests.helpers.standin import Standin
 from tests.parity.recording import Recording, SumoStep, record
 from tests.parity.replay import Replay
-from tests.parity.scenes import NETWORKS, RECKLESS_SCENE, SCENE, write_scenario
-from tests.standin import Standin
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from shapely.geometry import MultiPolygon, box
 from phase_sumo.config import SimConfig
 from phase_sumo.sim.events import agent_contacts, detect
 from phase_sumo.sim.vehicles import VehicleShape, VehicleState, boxes
-from tests.factories import car_shape, task_to, truck_shape, vehicle_state
+from tests.helpers.factories import car_shape, task_to, truck_shape, vehicle_state
 
 COUNT = 24
 TOO_CLOSE = 1e-4  # m: float32 cannot tell

@@ -12,7 +12,7 @@ import torch
 
 from phase_sumo.config import ActionConfig, DirectActionConfig, SimConfig
 from phase_sumo.sim.kinematics import advance, command, steer_limit
-from tests.factories import car_shape, truck_shape, vehicle_state
+from tests.helpers.factories import car_shape, truck_shape, vehicle_state
 from tests.physics.oracle import NAMES, integrate
 
 SIM = SimConfig()

@@ -12,7 +12,7 @@ import torch
 from phase_sumo.config import SimConfig
 from phase_sumo.sim.kinematics import advance
 from phase_sumo.sim.vehicles import VehicleShape, VehicleState, boxes
-from tests.factories import car_shape, truck_shape, vehicle_state
+from tests.helpers.factories import car_shape, truck_shape, vehicle_state
 from tests.physics.oracle import NAMES, integrate
 
 SIM = SimConfig()

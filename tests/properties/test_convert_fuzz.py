@@ -15,9 +15,9 @@ from phase_sumo.bridge.maps.coordinates import LanePositions
 from phase_sumo.bridge.maps.stretches import cut
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.errors import PhaseError
-from tests.small_nets import SmallNet, lanes_from
+from tests.helpers.places import ROOT
+from tests.helpers.small_nets import SmallNet, lanes_from
 
-ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / "networks").glob("*.net.xml"))
 quick = settings(
     max_examples=40, deadline=8000, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]

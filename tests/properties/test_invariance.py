@@ -19,9 +19,9 @@ from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.road_map import RoadMap, merge
 from phase_sumo.sim.vehicles import Task, VehicleState, boxes
 from phase_sumo.sim.worlds import Transition, Worlds, look
-from tests.conftest import straight_network
-from tests.factories import car_shape, task_to, truck_shape, vehicle_state
-from tests.rollouts import ACTIONS, drive, pick, place, token
+from tests.helpers.factories import car_shape, task_to, truck_shape, vehicle_state
+from tests.helpers.rollouts import ACTIONS, drive, pick, place, token
+from tests.helpers.straight_road import straight_network
 
 SIM = SimConfig()
 COUNT, STEPS = 14, 40

@@ -14,7 +14,7 @@ from phase_sumo.sim.observation import EGO, PARTNER, ROAD
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.worlds import Outcome, Worlds
 from phase_sumo.sim.worlds import look as look_at
-from tests.factories import car_shape, task_to, truck_shape, vehicle_state
+from tests.helpers.factories import car_shape, task_to, truck_shape, vehicle_state
 
 SIM = SimConfig()
 NAMES = {

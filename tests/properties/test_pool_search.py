@@ -24,6 +24,7 @@ from phase_sumo.config import REGIMES, Regime
 from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 from phase_sumo.sim.pool import TIGHTEST, TRUCK_UPSTREAM, StartGoalPool, build_pool, lane_change_length
+from tests.helpers.places import ROOT, SHARED
 
 W = 3.6
 BUDGET = 3
@@ -32,9 +33,8 @@ TOLERANCE = 1.0  # m between the stored path length and one that the slow search
 COVERED = 0.98  # share of (start, lane, lane changes) groups that must be in the pool
 INSIDE = 2.0  # m: groups that reach no further into the path bounds than this are not asked for
 
-ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / "networks").rglob("*.net.xml"))
-REAL = sorted((ROOT.parent / "shared" / "nets").rglob("*.net.xml"))
+REAL = sorted((SHARED / "nets").rglob("*.net.xml"))
 A10 = Path(sumo.SUMO_HOME) / "tools" / "game" / "A10KW" / "osm.net.xml"
 MOST_STARTS = 400  # of a large network
 

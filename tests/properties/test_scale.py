@@ -14,8 +14,8 @@ from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.config import ActionConfig, RewardConfig, ScenarioConfig, SimConfig
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import Environment
-from tests.conftest import straight_network
-from tests.rollouts import token
+from tests.helpers.rollouts import token
+from tests.helpers.straight_road import straight_network
 
 MOST = 1.2  # times linear growth
 SLOTS = 48

@@ -9,8 +9,8 @@ from phase_sumo.bridge.maps.lanelet2 import read_road
 from phase_sumo.logs.lane_matching import lane_places
 from phase_sumo.logs.sources import open_source
 from phase_sumo.logs.windows import windows
-from tests import log_files
-from tests.log_files import LANES, ROAD, SCENE, WIDTH
+from tests.helpers import log_files
+from tests.helpers.log_files import LANES, ROAD, SCENE, WIDTH
 
 HEIGHT = LANES * WIDTH
 

@@ -14,7 +14,7 @@ from phase_sumo.errors import PhaseError
 from phase_sumo.logs.ngsim import savitzky_golay
 from phase_sumo.logs.recording import kind_of
 from phase_sumo.logs.windows import FLAGS, finished
-from tests.recordings import recording_of
+from tests.helpers.recordings import recording_of
 
 T = 200
 X = 3.0 * np.arange(T)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,10 +11,11 @@ from phase_sumo.errors import PhaseError
 from phase_sumo.logs.lane_matching import lane_places
 from phase_sumo.logs.sources import open_source, open_sources
 from phase_sumo.logs.windows import windows
-from tests import log_files
-from tests.small_nets import SmallNet, lanes_from
+from tests.helpers import log_files
+from tests.helpers.places import NOT_SHARED, SHARED
+from tests.helpers.small_nets import SmallNet, lanes_from
 
-DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
+DATA = SHARED / "data"
 
 
 def _edited(path, edit):
@@ -141,7 +140,7 @@ def test_tracks_on_a_network_that_is_given(tmp_path):
     np.testing.assert_array_equal(recording.x, own.x)
 
 
-@pytest.mark.skipif(not (DATA / "i24").exists(), reason="recordings of I-24 are not here")
+@pytest.mark.skipif(not (DATA / "i24").exists(), reason=f"{NOT_SHARED}/data/i24")
 def test_i24():
     recordings = list(open_source(f"tracks:{DATA / 'i24' / 'tracks_10hz.csv'}"))
     assert [r.name.partition("/")[2] for r in recordings] == ["i/-1", "i/1", "ii/-1", "ii/1"]
@@ -158,7 +157,7 @@ def test_i24():
         assert speeds == sorted(speeds), speeds
 
 
-@pytest.mark.skipif(not (DATA / "us101").exists(), reason="recordings of US-101 are not here")
+@pytest.mark.skipif(not (DATA / "us101").exists(), reason=f"{NOT_SHARED}/data/us101")
 def test_us101():
     pytest.importorskip("commonroad", reason="commonroad-io is not installed")
     (recording,) = open_source(f"commonroad:{DATA / 'us101' / 'USA_US101-23_1_T-1.xml'}")

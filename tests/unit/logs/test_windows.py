@@ -11,7 +11,7 @@ from phase_sumo.errors import PhaseError
 from phase_sumo.logs.lane_matching import lane_changes, lane_places
 from phase_sumo.logs.recorded_roads import Strip, strip_road
 from phase_sumo.logs.windows import windows
-from tests.recordings import recording_of
+from tests.helpers.recordings import recording_of
 
 T = 250  # samples
 X = 2.0 * np.arange(T)

@@ -1,0 +1,159 @@
+"""Scenario files and SUMO options."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from phase_sumo.bridge.sumo.demand import Rewrite, rewrite_files, sumo_model
+from phase_sumo.bridge.sumo.options import command, parse_options, read_scenario
+from phase_sumo.errors import PhaseError
+from tests.helpers.places import NETWORKS
+
+NETWORK = NETWORKS / "f01_straight3.net.xml"
+ROUTES = """<routes>
+    <vType id="car" vClass="passenger" carFollowModel="Krauss" sigma="0.5"/>
+    <vTypeDistribution id="mix">
+      <vType id="semi" vClass="trailer" length="20" probability="1"/></vTypeDistribution>
+    <vType id="walker" vClass="pedestrian"/>
+    <flow id="f" type="car" from="main0" to="main0" begin="0" end="60" period="3"/>
+    <flow id="t" type="mix" from="main0" to="main0" begin="0" end="60" period="10"/>
+</routes>
+"""
+
+
+@pytest.fixture
+def scenario_file(tmp_path):
+    """Writes a scenario with further options and returns its path."""
+
+    def write(options="", step=0.1):
+        (tmp_path / "demand.rou.xml").write_text(ROUTES)
+        path = tmp_path / "test.sumocfg"
+        path.write_text(
+            f'<configuration><input><net-file value="{NETWORK}"/>'
+            '<route-files value="demand.rou.xml"/></input>'
+            f'<time><begin value="0"/><end value="30"/><step-length value="{step}"/></time>'
+            f"{options}</configuration>"
+        )
+        return path
+
+    return write
+
+
+def values(args):
+    return dict(zip(args[::2], args[1::2], strict=True))
+
+
+def test_scenario_is_read(scenario_file):
+    scenario = read_scenario(scenario_file())
+    assert scenario.net == NETWORK
+    assert (scenario.begin, scenario.end, scenario.step_length) == (0.0, 30.0, 0.1)
+
+
+def test_users_options_win_and_forced_ones_are_there(scenario_file, tmp_path):
+    scenario = read_scenario(scenario_file(), ["-e", "00:01:00", "--seed=7", "--fcd-output", "x.xml"])
+    assert scenario.end == 60.0
+    found = values(command(scenario, tmp_path / "out", seed=3))
+    assert found["--seed"] == "7"
+    assert found["--time-to-teleport"] == "-1"
+    assert found["--collision.action"] == "warn"
+    assert found["--fcd-output"] == "x.xml"
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ('<mesosim value="true"/>', "mesosim"),
+        ('<lanechange.duration value="3"/>', "lanechange.duration"),
+        ('<remote-port value="8813"/>', "remote-port"),
+    ],
+)
+def test_what_cannot_work_is_refused_with_a_remedy(scenario_file, options, named):
+    path = scenario_file(options)
+    with pytest.raises(PhaseError, match=f"{path.name}.*{named}.*pass -- --{named}"):
+        read_scenario(path)
+    read_scenario(path, [f"--{named}", "false" if named == "mesosim" else "0"])
+
+
+def test_forced_options_cannot_be_changed(scenario_file):
+    with pytest.raises(PhaseError, match=r"collision\.action"):
+        read_scenario(scenario_file(), ["--collision.action", "remove"])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("<configuration", "not readable as XML"), ("<configuration/>", "holds no SUMO options")],
+)
+def test_damaged_scenarios(tmp_path, text, message):
+    path = tmp_path / "bad.sumocfg"
+    path.write_text(text)
+    with pytest.raises(PhaseError, match=message):
+        read_scenario(path)
+
+
+def test_missing_files_are_named(scenario_file, tmp_path):
+    with pytest.raises(PhaseError, match=r"nothere\.sumocfg"):
+        read_scenario(tmp_path / "nothere.sumocfg")
+    path = scenario_file()
+    (tmp_path / "demand.rou.xml").unlink()
+    with pytest.raises(
+        PhaseError, match=r"test\.sumocfg: option route-files: .*demand\.rou\.xml does not exist"
+    ):
+        read_scenario(path)
+
+
+def test_missing_gui_settings_and_output_folders_are_no_obstacle(scenario_file, tmp_path):
+    path = scenario_file(
+        '<gui_only><gui-settings-file value="no.view.xml"/></gui_only>'
+        '<output><tripinfo-output value="deep/down/trips.xml"/></output>'
+    )
+    found = values(command(read_scenario(path), tmp_path / "w"))
+    assert Path(found["--gui-settings-file"]).is_file()
+    assert (tmp_path / "deep" / "down").is_dir()
+    redirected = values(command(read_scenario(path), tmp_path / "w", redirect_outputs=True))
+    assert Path(redirected["--tripinfo-output"]) == tmp_path / "w" / "trips.xml"
+
+
+def test_options_are_parsed_like_sumos():
+    parsed = parse_options(["-e", "-1", "--no-warnings", "--seed=4", "--scale", "2", "-v"])
+    assert parsed == {"end": "-1", "no-warnings": "true", "seed": "4", "scale": "2", "verbose": "true"}
+    with pytest.raises(PhaseError, match="stray"):
+        parse_options(["stray"])
+
+
+def test_models_are_replaced_in_every_type_but_pedestrians(scenario_file, tmp_path):
+    scenario = read_scenario(scenario_file())
+    routes, additional = rewrite_files(scenario.route_files, (), tmp_path / "w", Rewrite(model="IDM"))
+    text = routes[0].read_text()
+    assert text.count('carFollowModel="IDM"') == 2
+    assert "Krauss" not in text
+    assert 'DEFAULT_VEHTYPE" vClass="passenger" carFollowModel="IDM"' in additional[0].read_text()
+
+
+def test_files_without_change_are_used_as_they_are(scenario_file, tmp_path):
+    scenario = read_scenario(scenario_file())
+    routes, additional = rewrite_files(scenario.route_files, (), tmp_path / "w", Rewrite())
+    assert routes == scenario.route_files
+    assert additional == ()
+
+
+def test_detector_outputs_go_to_our_folder_and_inputs_stay_found(scenario_file, tmp_path):
+    scenario_file()
+    detectors = tmp_path / "det.add.xml"
+    detectors.write_text(
+        '<additional><inductionLoop id="d" lane="main0_0" pos="9" period="60" file="loops/d.xml"/>'
+        '<edgeData id="e" file="NUL"/><poly id="p" imgFile="pics/p.png" shape="0,0"/></additional>'
+    )
+    out = tmp_path / "w"
+    _, (rewritten,) = rewrite_files((), (detectors,), out, Rewrite(output_dir=out))
+    text = rewritten.read_text()
+    assert f'file="{out}/d.xml"' in text
+    assert 'file="NUL"' in text
+    assert f'imgFile="{tmp_path}/pics/p.png"' in text
+
+
+def test_model_names():
+    assert sumo_model("eidm") == "EIDM"
+    with pytest.raises(PhaseError, match="idmx"):
+        sumo_model("idmx")

@@ -1,0 +1,109 @@
+"""The compiled scene encoder does what the torch operations do, for results and gradients."""
+
+from __future__ import annotations
+
+import subprocess
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from phase_sumo.config import NetworkConfig
+from phase_sumo.policy import native
+from phase_sumo.policy.scene_encoder import SceneEncoder, softmax_with_zero
+from phase_sumo.sim.compiler import cpp_compiler
+from phase_sumo.sim.observation import Observation
+from tests.helpers.observations import observation
+
+compiled = pytest.mark.skipif(cpp_compiler() is None, reason="no C++ compiler here")
+SIZES = [NetworkConfig(), NetworkConfig(width=48, hidden=32, heads=3, feedforward=16, seeds=5)]
+
+
+def encoder(config: NetworkConfig) -> SceneEncoder:
+    torch.manual_seed(1)
+    return SceneEncoder(config)
+
+
+def gradients(net: SceneEncoder, pooled: Tensor) -> list[Tensor]:
+    towards = torch.randn(pooled.shape, generator=torch.Generator().manual_seed(2))
+    return list(torch.autograd.grad((pooled * towards).sum(), list(net.parameters())))
+
+
+def seen() -> Observation:
+    """Some agents, one that sees no partner and one that sees no road."""
+    result = observation(37)
+    result.partner_mask[3] = False
+    result.road_mask[5] = False
+    return result
+
+
+@compiled
+@pytest.mark.parametrize("config", SIZES)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_results_and_gradients_are_those_of_torch(config: NetworkConfig, threads: int):
+    net, before = encoder(config), torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        ours, theirs = net(seen()), net.reference(seen())
+        assert ours.grad_fn is not None and "Encode" in ours.grad_fn.name()
+        torch.testing.assert_close(ours, theirs, atol=2e-6, rtol=1e-5)
+        for mine, right in zip(gradients(net, ours), gradients(net, theirs), strict=True):
+            torch.testing.assert_close(mine, right, atol=1e-5 * float(right.abs().max()), rtol=1e-4)
+    finally:
+        torch.set_num_threads(before)
+
+
+@compiled
+def test_large_scores_do_not_overflow():
+    """Scores of some thousands, where e^s is none of the floats and one element takes all the weight."""
+    net = encoder(SIZES[0])
+    with torch.no_grad():
+        for layer in (net.score, net.road_out, net.query):
+            layer.weight.mul_(1000.0)
+    ours, theirs = (
+        net(seen()),
+        net.double().reference(seen().map(lambda t: t if t.dtype == torch.bool else t.double())),
+    )
+    assert ours.isfinite().all()
+    same = (ours - theirs).abs() < 1e-3 * theirs.abs() + 1e-2
+    assert same.float().mean() > 0.99  # but where two scores are equal to six digits
+
+
+@compiled
+def test_it_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    native.load_kernel.cache_clear()
+    assert native.load_kernel(SIZES[0], 16, 32) is not None
+    (library,) = (tmp_path / "phase_sumo").iterdir()
+    made = library.stat().st_mtime_ns
+    native.load_kernel.cache_clear()
+    assert native.load_kernel(SIZES[0], 16, 32) is not None
+    assert library.stat().st_mtime_ns == made
+    native.load_kernel.cache_clear()
+
+
+@pytest.mark.parametrize("missing", ["compiler", "success", "vectors"])
+def test_without_the_kernel_torch_does_it(missing: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    config = NetworkConfig(width=24, heads=3) if missing == "vectors" else SIZES[0]
+    native.load_kernel.cache_clear()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    if missing == "compiler":
+        monkeypatch.setattr(native, "cpp_compiler", lambda: None)
+    if missing == "success":
+
+        def fail(*args: object, **kwargs: object) -> None:
+            raise subprocess.CalledProcessError(1, "c++", stderr=b"no such flag")
+
+        monkeypatch.setattr(subprocess, "run", fail)
+    net = encoder(config)
+    with pytest.warns(match="no such flag") if missing == "success" else nullcontext():
+        assert torch.equal(net(seen()), net.reference(seen()))
+    native.load_kernel.cache_clear()
+
+
+def test_softmax_with_zero_leaves_room_for_nothing():
+    score, mask = torch.tensor([[0.0, 0.0, 5.0]]), torch.tensor([[True, True, False]])
+    torch.testing.assert_close(softmax_with_zero(score, mask), torch.tensor([[1 / 3, 1 / 3, 0.0]]))
+    assert softmax_with_zero(score, mask & False).tolist() == [[0.0, 0.0, 0.0]]
