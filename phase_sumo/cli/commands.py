@@ -13,6 +13,7 @@ from phase_sumo.cli.train_view import train_view
 from phase_sumo.errors import PhaseError
 from phase_sumo.signals import stop_signals
 
+PARTS = ("sim", "train", "bridge", "convert")  # of the benchmark
 DEMO_MEASURES = ("mean_speed", "travel_time", "flow", "collisions_per_1000km", "lane_changes_per_km")
 
 
@@ -187,7 +188,7 @@ def bench(args: argparse.Namespace) -> Any:
     torch.set_num_threads(args.threads)
     networks = args.networks or [str(HELD_OUT)]
     results = []
-    for part in args.parts or ["sim", "train", "bridge", "convert"]:
+    for part in args.parts or PARTS:
         with progress_bar(f"bench {part}") as progress:
             if part == "sim":
                 maps = load_maps(networks, None)

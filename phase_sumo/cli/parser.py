@@ -258,9 +258,9 @@ def make_parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "parts",
         nargs="*",
-        choices=["sim", "train", "bridge", "convert"],
+        type=_part,
         metavar="PART",
-        help="all if left out",
+        help=f"{', '.join(commands.PARTS)}; all if left out",
     )
     sub.add_argument(
         "--networks", nargs="+", metavar="PATH", help="the clone's held-out networks if left out"
@@ -286,6 +286,13 @@ def make_parser() -> argparse.ArgumentParser:
 
 def _ids(text: str) -> list[str]:
     return [name for name in re.split(r"[,;\s]+", text) if name]
+
+
+def _part(text: str) -> str:
+    """Of the benchmark; ``choices`` would refuse an empty list."""
+    if text not in commands.PARTS:
+        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(commands.PARTS)}")
+    return text
 
 
 def _flag(text: str) -> bool:

@@ -10,6 +10,7 @@ import pytest
 
 from phase_sumo.cli import main
 from phase_sumo.cli.files import load_maps
+from phase_sumo.cli.parser import make_parser
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.bundle import save_bundle
 from tests.helpers.small_nets import SmallNet, lanes_from
@@ -105,3 +106,11 @@ def test_the_demo_shows_measures_that_a_comparison_has():
     from phase_sumo.studies.compare import ALL_MEASURES
 
     assert set(DEMO_MEASURES) <= set(ALL_MEASURES)
+
+
+def test_bench_measures_all_parts_or_those_named(capsys):
+    assert make_parser().parse_args(["bench"]).parts == []
+    assert make_parser().parse_args(["bench", "sim", "bridge"]).parts == ["sim", "bridge"]
+    with pytest.raises(SystemExit):
+        main(["bench", "wheels"])
+    assert "'wheels' is none of sim, train, bridge, convert" in capsys.readouterr().err
