@@ -21,7 +21,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from torch import Tensor
 
-from phase_sumo.report.render_road import draw_road, turned
+from phase_sumo.report.map_picture import draw_road, turned
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.observation import Observation

@@ -21,7 +21,7 @@ from phase_sumo.config import SimConfig
 from phase_sumo.evaluate.fixed_worlds import Start, drive, policy_driver
 from phase_sumo.evaluate.steering.outcomes import SHAPES, Kind
 from phase_sumo.policy.checkpoint import load_policy
-from phase_sumo.report.render_road import draw_road, turned
+from phase_sumo.report.map_picture import draw_road, turned
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.vehicles import HISTORY, Task, VehicleShape, VehicleState, boxes
 from tools.places import NETWORKS, RESULTS

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import REGIMES
-from phase_sumo.report.render_road import draw_road, turned
+from phase_sumo.report.map_picture import draw_road, turned
 from phase_sumo.sim.bundle import MapBundle
 from tools.places import HELD_OUT, RESULTS
 

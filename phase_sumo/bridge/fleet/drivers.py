@@ -84,7 +84,7 @@ class Member:
         max_speed: of the vType, m/s.
         min_gap: of the vType, m.
         target_speed: set by the parameter ``phase.target_speed``, m/s; 0 follows the speed limit.
-        time_gap: s to the leader, see `target_speed`; 0 takes no heed of leaders.
+        time_gap: s to the leader, see `target_speeds`; 0 takes no heed of leaders.
         lost_since: time since when the front bumper is on no lane, or None.
         off_lane_until: time until which SUMO is told a position on a lane, see `PoseWriter`.
         edge_event, edge_begin, edge_contact: its last contact with the road edge, first and last time of it.

@@ -1,12 +1,12 @@
 """Rolling goals: the tactical layer between a SUMO route and the policy's point goals.
 
-The policy drives to a point; this module moves the point, in the lane that `tactics` chooses. It lies 6 s of
-target speed ahead, 40..150 m; for a change that the route needs it lies before the place where the lane leads
-astray, but never nearer than the 2.5 s of driving that a change takes. On a curve it is drawn nearer, so that
-the straight line to it keeps to the lane, and nearest (1.6 s) for a vehicle out of line with its lane.
-It is set anew when it is nearer than 1.2 s, or behind. Lanes are reviewed every second; a change of one's own
-choice begins when it has been worth while for as long as it takes, and a change that has begun is kept until
-it is done or the goal is reached.
+The policy drives to a point; this module moves the point, in the lane that `lane_choice` chooses. It lies 6 s
+of target speed ahead, 40..150 m; for a change that the route needs it lies before the place where the lane
+leads astray, but never nearer than the 2.5 s of driving that a change takes. On a curve it is drawn nearer,
+so that the straight line to it keeps to the lane, and nearest (1.6 s) for a vehicle out of line with its
+lane. It is set anew when it is nearer than 1.2 s, or behind. Lanes are reviewed every second; a change of
+one's own choice begins when it has been worth while for as long as it takes, and a change that has begun is
+kept until it is done or the goal is reached.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from matplotlib.image import imread
 from PIL import Image, ImageSequence
 
 from phase_sumo.config import ActionConfig, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.report.map_picture import ASPHALT, KERB, border_lines, lane_surfaces
 from phase_sumo.report.render import CRASH, OFF_ROAD, TYPES, Frame, Window, draw_world, film
-from phase_sumo.report.render_road import ASPHALT, KERB, border_lines, lane_surfaces
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.road_map import RoadKind
 from tests.helpers.factories import car_shape, task_to, truck_shape, vehicle_state
