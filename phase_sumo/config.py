@@ -95,21 +95,25 @@ class RewardConfig:
     goal: float = 3.3  # w_g
     lane: float = 0.005  # w_l
     collision: float = 1.0  # w_f
-    at_fault_only: bool = True  # only the agent at fault pays for a collision
     road_edge: float = 0.9  # w_e
     termination: float = 8.3  # w_t
     alignment: float = 0.09  # w_a
-    speed: float = 0.07  # w_s
+    speed: float = 0.07  # w_s, of a speed above the target speed
     progress: float = 0.25  # w_p
     penalty_growth: float = 2.69  # lambda
     kappa: float = 1.01
     ramp_horizon: float = 5.0  # s, T_ramp
     progress_decay: float = 100.0  # m, psi(d) = exp(-d / progress_decay), choice
-    goal_speed_tolerance: float = 2.0  # m/s within which w_s is 1, else 0.1, choice
+    goal_speed_tolerance: tuple[float, float] = (2.0, 2.0)  # m/s below, above: w_s is 1, else 0.1, choice
     goal_yaw_tolerance: float = 0.1  # rad within which w_a is 1, else 0.1, choice
     # Unit of ||g|| in the termination term. Most goals are missed by a lane's width: in metres that costs 29,
     # nine goals, in kilometres 0.03, nothing; so it costs 1.5, beside w_f = 1.0 and w_e = 0.9.
     distance_unit: float = 20.0  # m, choice
+    # Not in the paper; with these values the terms are the paper's
+    speed_below: float = 0.07  # of a speed below the target speed
+    collision_onset: float = 0.0  # once, when an agent's first contact begins
+    road_edge_onset: float = 0.0  # likewise
+    not_at_fault: float = 0.0  # share of a collision's weight that the one who is not at fault pays
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,7 @@ class Regime:
     lane_change_ratio: float  # P_lc before
     lane_change_ratio_late: float  # P_lc after
     tuples: int  # share of the 77 (map, pool) tuples
+    spread: float = 0.4  # eps_init ~ U(-spread, spread): Table scenario_stats read as half-ranges
 
 
 REGIMES = (
@@ -132,6 +137,26 @@ REGIMES = (
     Regime("moderate", (78.0, 202.0), 23.3, (32, 64), (64, 96), 0.4, 0.5, 22),
     Regime("free", (106.0, 274.0), 31.6, (1, 32), (1, 64), 0.4, 0.6, 11),
 )
+# not in the paper: stop and go, from standstill on
+CRAWLING = Regime("crawling", (6.0, 30.0), 2.5, (96, 256), (144, 256), 0.25, 0.3, 11, spread=1.0)
+POOLS = (*REGIMES, CRAWLING)  # the regimes that every map has start-goal pairs for
+
+
+@dataclass(frozen=True)
+class ScriptConfig:
+    """Scripted vehicles of training (`sim.scripted`): none in the paper. Values are choices."""
+
+    standing_worlds: float = 0.0  # share of the worlds in which vehicles stand on lanes
+    scripted_worlds: float = 0.0  # share in which some follow their lanes and give way to nobody
+    slots: float = 0.1  # share of the agents' slots that they may take
+    most_standing: int = 4  # vehicles of a world
+    brake: tuple[float, float] = (4.0, 8.0)  # m/s^2, how hard a scripted leader brakes; every second one does
+    brake_from: tuple[float, float] = (0.5, 5.0)  # s of the scenario
+    brake_for: tuple[float, float] = (1.0, 4.0)  # s
+    accel: float = 1.5  # m/s^2, IDM's a
+    comfortable: float = 2.0  # m/s^2, IDM's b
+    time_gap: float = 1.2  # s, IDM's T
+    least_gap: float = 2.0  # m, IDM's s0
 
 
 @dataclass(frozen=True)
@@ -142,14 +167,19 @@ class ScenarioConfig:
     max_lane_changes: int = 3  # K
     truck_ratio: float = 0.15  # P_truck, choice
     rigid_truck_ratio: float = 0.3  # share of the trucks without a trailer, choice
-    init_speed_spread: float = 0.4  # eps_init ~ U(-s, s): Table scenario_stats read as half-ranges
     goal_speed_bounds: tuple[float, float] = (-0.25, 0.5)  # eps_goal ~ U, choice: merging speeds up most
     alpha_bounds: tuple[float, float] = (0.1, 1.0)
     agent_scale: float = 1.0  # multiplies every regime's agent counts (small machines)
-    spawn_time_headway: float = 0.7  # s kept free ahead of a spawned vehicle, choice
-    spawn_gap: float = 2.0  # m kept free around it, choice
+    time_gap: tuple[float, float] = (0.6, 1.8)  # s ahead of vehicles at the start, per world, choice
+    least_time_gap: float = 0.4  # s to which dense worlds shorten it before they drive slower, choice
+    least_gap: float = 1.5  # m at standstill, choice
     horizon_share: float = 0.85  # a path must be drivable in this share of the horizon, choice
-    astray: float = 0.0  # share of the agents that begin out of line with their lane; 0 in the paper's recipe
+    # not in the paper, and 0 there:
+    astray: float = 0.0  # share of the agents that begin out of line with their lane
+    rolling_worlds: float = 0.0  # share of the worlds in which agents at their goal get the next one
+    rolling_horizon: int = 300  # steps of those
+    rolling_speed: tuple[float, float] = (0.8, 2.0)  # target speed there, by the initial speed
+    script: ScriptConfig = ScriptConfig()
 
 
 @dataclass(frozen=True)
@@ -261,15 +291,16 @@ def _gpudrive() -> TrainConfig:
     reward = RewardConfig(
         goal=1.0,
         collision=0.75,
-        at_fault_only=False,
+        not_at_fault=1.0,
         road_edge=0.75,
         lane=0.0,
         termination=0.0,
         alignment=0.0,
         speed=0.0,
+        speed_below=0.0,
         progress=0.0,
         penalty_growth=1.0,
-        goal_speed_tolerance=SimConfig().max_speed,
+        goal_speed_tolerance=(SimConfig().max_speed, SimConfig().max_speed),
         goal_yaw_tolerance=math.pi,
     )
     return TrainConfig(

@@ -26,6 +26,7 @@ from phase_sumo.evaluate.synthetic import RATES
 from phase_sumo.sim import scenario
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import BRAKING_JERK
+from phase_sumo.sim.pairs import PairTable
 from phase_sumo.sim.road_map import RoadMap, merge
 from phase_sumo.sim.vehicles import HISTORY, Task, VehicleShape, VehicleState
 
@@ -63,7 +64,7 @@ def sample_worlds(maps: Sequence[MapBundle], seed: int) -> tuple[Start, Tensor]:
     """Worlds for every map and regime: how ``benchmark.npz`` was made, once."""
     regimes = SCENARIOS.regimes
     tuples = [(m, r) for r in range(len(regimes)) for m in range(len(maps))]
-    pairs = scenario.PairTable([(maps[m].graph, maps[m].pools[r]) for m, r in tuples], "cpu")
+    pairs = PairTable.of([(maps[m].graph, maps[m].pools[r]) for m, r in tuples], "cpu")
     table = scenario.RegimeTable.of([regimes[r] for _, r in tuples], SCENARIOS.agent_scale, SLOTS, "cpu")
     index = torch.arange(len(tuples)).repeat_interleave(WORLDS_PER_TUPLE)
     fresh = scenario.sample(

@@ -12,11 +12,11 @@ from phase_sumo.config import Actions, DirectActionConfig, SimConfig
 from phase_sumo.policy.checkpoint import Policy
 from phase_sumo.policy.network import log_prior
 from phase_sumo.sim import kinematics
-from phase_sumo.sim.events import detect
+from phase_sumo.sim.events import Outcome, detect
 from phase_sumo.sim.observation import Observation
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.vehicles import Task, TensorBatch, VehicleShape, VehicleState
-from phase_sumo.sim.worlds import Outcome, Worlds, look
+from phase_sumo.sim.worlds import look
 
 MOST_WORLDS = 1_000_003  # beyond which random numbers of one seed would be those of another
 
@@ -94,20 +94,13 @@ def drive(
     outcome = Outcome(*(nobody for _ in range(4)))
     trailers, uniform = trailer_slots(shape), _uniform(start, sim.horizon, seed)
     for t in range(sim.horizon):
-        clock = torch.full_like(start.map_index, t)
-        worlds = Worlds(shape, state, task, outcome, active, nobody.long(), clock)
-        seen = look(worlds, road_map, start.map_index, None, sim).rows(active)
+        seen = look(shape, state, task, active, road_map, start.map_index, None, sim).rows(active)
         action = torch.zeros(active.shape, dtype=torch.long)
         action[active] = choose(driver(seen), None if greedy else uniform[:, t][active])
         jerk, rate = kinematics.command(action, state, task.alpha, actions, sim.dt)
         after = kinematics.advance(shape, state, jerk, rate, sim).where(active, state)
         events = detect(shape, state, after, task, active, road_map, start.map_index, sim, trailers)
-        outcome = Outcome(
-            outcome.goal | events.goal,
-            outcome.collision | events.collision,
-            outcome.at_fault | events.at_fault,
-            outcome.road_edge | events.road_edge,
-        )
+        outcome = outcome.after(events)
         out_of_time = t + 1 == sim.horizon
         finished = active & (events.goal | events.unrecoverable | out_of_time)
         yield Step(state, after, active, action, finished, outcome)

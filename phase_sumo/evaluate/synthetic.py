@@ -12,6 +12,7 @@ from phase_sumo.config import RewardConfig, ScenarioConfig
 from phase_sumo.policy.checkpoint import Policy
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import Environment
+from phase_sumo.sim.scenario import KINDS
 from phase_sumo.sim.worlds import Transition
 
 RATES = ("goal_rate", "agent_collision_rate", "at_fault_rate", "road_collision_rate", "success_rate")
@@ -35,9 +36,11 @@ def evaluate_synthetic(
 
     Returns:
         JSON types: ``scenarios``, ``agents``, `RATES` (shares of the agents), and the same per traffic
-        regime and per vehicle type under ``by_regime`` and ``by_type``.
+        regime, per vehicle type and per kind of world (with standing or scripted vehicles, or with goals that
+        roll on) under ``by_regime``, ``by_type`` and ``by_kind``.
     """
     tallies: dict[str, Tensor] = {}
+    horizon = scenarios.rolling_horizon if scenarios.rolling_worlds else policy.sim.horizon
     for episode in range(episodes):
         env = Environment(
             maps,
@@ -49,23 +52,25 @@ def evaluate_synthetic(
             policy.actions,
             seed=seed + episode,
             training=False,
+            rho=1.0,
         )
         generator = None if greedy else torch.Generator().manual_seed(seed + episode)
-        for t in range(policy.sim.horizon):
+        for t in range(horizon):
             first = env.worlds.clock == t  # worlds still in the scenario they began with
             if not first.any():
                 break
-            shape, active = env.worlds.shape, env.worlds.active
-            action = torch.zeros(active.shape, dtype=torch.long)
-            action[active] = policy.act(env.observation.rows(active), generator)
+            agents = env.worlds.controlled
+            action = torch.zeros(agents.shape, dtype=torch.long)
+            action[agents] = policy.act(env.observation.rows(agents), generator)
+            groups = _groups(env)
             step = env.step(action)
-            for name, group in _groups(env, shape.truck, shape.articulated).items():
+            for name, group in groups.items():
                 counted = step.finished & first.unsqueeze(-1) & group
                 tallies[name] = tallies.get(name, torch.zeros(6)) + _tally(step, counted)
             if progress is not None:
-                progress((episode + (t + 1) / policy.sim.horizon) / episodes)
+                progress((episode + (t + 1) / horizon) / episodes)
     result: dict[str, Any] = {"scenarios": worlds * episodes, **_rates(tallies["all"])}
-    for family in ("by_regime", "by_type"):
+    for family in ("by_regime", "by_type", "by_kind"):
         prefix = family + ":"
         result[family] = {
             n.removeprefix(prefix): _rates(t) for n, t in tallies.items() if n.startswith(prefix)
@@ -73,15 +78,25 @@ def evaluate_synthetic(
     return result
 
 
-def _groups(env: Environment, truck: Tensor, articulated: Tensor) -> dict[str, Tensor]:
+def _groups(env: Environment) -> dict[str, Tensor]:
+    """Which agents [W, N] belong to each group."""
+    worlds = env.worlds
+    truck, articulated = worlds.shape.truck, worlds.shape.articulated
+
+    def everybody(of: Tensor) -> Tensor:
+        return of.unsqueeze(-1).expand_as(truck)
+
     groups = {
         "all": torch.ones_like(truck),
         "by_type:car": ~truck,
         "by_type:rigid_truck": truck & ~articulated,
         "by_type:articulated_truck": articulated,
+        "by_kind:rolling": everybody(worlds.rolling),
     }
     for index, regime in enumerate(env.scenarios.regimes):
-        groups[f"by_regime:{regime.name}"] = (env.regime_index == index).unsqueeze(-1).expand_as(truck)
+        groups[f"by_regime:{regime.name}"] = everybody(env.regime_index == index)
+    for index, kind in enumerate(KINDS):
+        groups[f"by_kind:{kind}"] = everybody((worlds.kind == index) & ~worlds.rolling)
     return groups
 
 

@@ -34,7 +34,7 @@ class MapBundle:
         name: of the network.
         road_map: a single map (M = 1).
         graph: lane graph.
-        pools: one per `config.REGIMES`, in that order.
+        pools: one per `config.POOLS`, in that order.
         key: `bundle_key` of what it was made from, "" if unknown.
         geo: geographic reference of the coordinates, None if the map has none.
     """

@@ -16,8 +16,16 @@ def truck_slots(slots: int, config: ScenarioConfig) -> int:
     return math.ceil(config.truck_ratio * slots)
 
 
+def mean_length(config: ScenarioConfig) -> float:
+    """Mean length in m of the vehicles that `sample_shape` makes, trailers included."""
+    articulated = 7.0 * 0.9 + 14.1 - 0.9  # the trailer's front lies over the tractor
+    truck = config.rigid_truck_ratio * 9.5 + (1.0 - config.rigid_truck_ratio) * articulated
+    return (1.0 - config.truck_ratio) * 4.9 + config.truck_ratio * truck
+
+
 def sample_shape(
     count: Tensor,
+    trucks_allowed: Tensor,
     slots: int,
     config: ScenarioConfig,
     generator: torch.Generator,
@@ -29,6 +37,7 @@ def sample_shape(
 
     Args:
         count: [B] agents of each world.
+        trucks_allowed: [B] bool, there are roads for trucks.
         slots: N.
     """
     device, size = count.device, (len(count), slots)
@@ -42,6 +51,7 @@ def sample_shape(
     # rounded up or down at random, so that the share holds in the mean
     draw = torch.rand(len(count), generator=generator, device=device)
     trucks = torch.floor(config.truck_ratio * count + draw).clamp_max(truck_slots(slots, config))
+    trucks = trucks * trucks_allowed
     truck = torch.arange(slots, device=device) < trucks.unsqueeze(-1)
     articulated = truck & (uniform(0.0, 1.0) >= config.rigid_truck_ratio)
     rigid = truck & ~articulated

@@ -14,11 +14,12 @@ from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.dimensions import truck_slots
 from phase_sumo.sim.noise import NoiseTable
 from phase_sumo.sim.observation import Observation
+from phase_sumo.sim.pairs import PairTable
 from phase_sumo.sim.road_map import POINTS_PER_CELL, merge
-from phase_sumo.sim.rolling import NextGoals
-from phase_sumo.sim.scenario import Scenario
+from phase_sumo.sim.scenario import Scenario, script_slots
+from phase_sumo.sim.scripted import move_scripted
 from phase_sumo.sim.tuples import map_regime_tuples
-from phase_sumo.sim.worlds import Outcome, RollingGoals, Transition, Worlds, advance, look
+from phase_sumo.sim.worlds import Beyond, Transition, Worlds, advance, look
 
 # Steps between refills of the scenarios that finished worlds take over. The rare world that is over twice in
 # between drives the same one again.
@@ -46,8 +47,8 @@ class Environment:
         seed: fixes everything on one device.
         training: perturb partner and road observations, and start the clocks of the worlds apart so that
             resets spread over time.
-        rolling: agents at their goal get the next one and stay until the road or the horizon ends.
         share: (k, n) for every n-th of the worlds only, from the k-th on; the others run elsewhere.
+        rho: curriculum progress to begin with.
         compiled: step through torch.compile (about a minute to start; many times faster from then on).
 
     Attributes:
@@ -70,17 +71,16 @@ class Environment:
         training: bool = True,
         share: tuple[int, int] = (0, 1),
         compiled: bool = False,
-        rolling: bool = False,
+        rho: float = 0.0,
     ) -> None:
         self.sim, self.scenarios, self.reward_config, self.actions = sim, scenarios, reward, actions
-        self.slots, self.rho = slots, 0.0
+        self.slots, self.rho = slots, rho
         self.trailers = truck_slots(slots, scenarios)
         self.generator = torch.Generator(device=device).manual_seed(seed)
         self.road_map = merge([m.road_map for m in maps]).to(device)
         tuples = map_regime_tuples(maps, scenarios.regimes)
         pools = [(maps[m].graph, maps[m].pools[r]) for m, r in tuples]
-        self.pairs = scenario.PairTable(pools, device)
-        self._next_goals = NextGoals.of(pools, device) if rolling else None
+        self.pairs = PairTable.of(pools, device)
         self.regimes = scenario.RegimeTable.of(
             [scenarios.regimes[r] for _, r in tuples], scenarios.agent_scale, slots, device
         )
@@ -102,10 +102,7 @@ class Environment:
         worlds, device = len(self.tuple_index), self.tuple_index.device
         latest = self.sim.horizon if self._noise else 1
         clock = torch.randint(latest, (worlds,), generator=self.generator, device=device)
-        outcome = Outcome(*(torch.zeros_like(fresh.active) for _ in range(4)))
-        self.worlds = Worlds(
-            fresh.shape, fresh.state, fresh.task, outcome, fresh.active, fresh.goal_node, clock
-        )
+        self.worlds = Worlds.begin(fresh, clock)
         self._spare = self._sample(self.tuple_index)
         self._used = torch.zeros_like(clock, dtype=torch.bool)
         self._steps = 0
@@ -130,7 +127,7 @@ class Environment:
             self.reward_config,
             self.actions,
             self.trailers,
-            self._rolling(),
+            self._beyond(),
         )
         self._used |= transition.over
         self._steps += 1
@@ -139,12 +136,27 @@ class Environment:
         self.observation = self._observe()
         return transition
 
-    def _rolling(self) -> RollingGoals | None:
-        if self._next_goals is None:
+    def _beyond(self) -> Beyond | None:
+        settings, worlds = self.scenarios, self.worlds
+        alone = settings.script.standing_worlds == settings.script.scripted_worlds == 0.0
+        if alone and settings.rolling_worlds == 0.0:
             return None
-        size, device = self.worlds.active.shape, self.tuple_index.device
+        size, device = worlds.active.shape, self.tuple_index.device
+        first, most = script_slots(self.slots, settings)
+        # not compiled: the way from node to node nests gathers, which fused grow beyond all bounds
+        moved = move_scripted(
+            worlds.shape,
+            worlds.state,
+            worlds.script,
+            self.pairs,
+            worlds.active,
+            worlds.clock * self.sim.dt,
+            (first, first if alone else first + most),
+            settings.script,
+            self.sim,
+        )
         uniform = torch.rand(size, generator=self.generator, device=device)
-        return RollingGoals(self._next_goals, self.pairs.node, uniform)
+        return Beyond(self.pairs, uniform, settings.rolling_horizon, moved)
 
     def _observe(self) -> Observation:
         noise = None
@@ -152,7 +164,17 @@ class Environment:
         if self._noise:
             partner, road = self._noise.draw()
             noise = partner, road
-        return self._look(self.worlds, self.road_map, self.map_index, noise, self.sim)
+        worlds = self.worlds
+        return self._look(
+            worlds.shape,
+            worlds.state,
+            worlds.task,
+            worlds.active,
+            self.road_map,
+            self.map_index,
+            noise,
+            self.sim,
+        )
 
     def _resample(self) -> None:
         """New scenarios for the worlds that have taken theirs."""

@@ -36,6 +36,30 @@ class Events(TensorBatch):
     lane_boundary: Tensor
 
 
+@dataclass
+class Outcome(TensorBatch):
+    """How one agent's episode ended or stands; all [W, N].
+
+    Attributes:
+        goal: reached its goal.
+        collision, at_fault, road_edge: it happened at least once.
+    """
+
+    goal: Tensor
+    collision: Tensor
+    at_fault: Tensor
+    road_edge: Tensor
+
+    def after(self, events: Events) -> Outcome:
+        """With what happened in one more step."""
+        return Outcome(
+            self.goal | events.goal,
+            self.collision | events.collision,
+            self.at_fault | events.at_fault,
+            self.road_edge | events.road_edge,
+        )
+
+
 def detect(
     shape: VehicleShape,
     before: VehicleState,

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from phase_sumo.config import RewardConfig, SimConfig
-from phase_sumo.sim.events import Events
+from phase_sumo.sim.events import Events, Outcome
 from phase_sumo.sim.geometry import wrap_angle
 from phase_sumo.sim.vehicles import Task, VehicleState
 
@@ -35,6 +35,7 @@ def rewards(
     after: VehicleState,
     task: Task,
     events: Events,
+    earlier: Outcome,
     multipliers: Multipliers,
     config: RewardConfig,
     sim: SimConfig,
@@ -42,27 +43,39 @@ def rewards(
     """The signed terms of R_i by name, each [W, N]; their sum is the reward.
 
     R = R_g + R_l - R_f - R_e - R_t - R_a - R_s + R_p. All in SI units, except
-    that R_t counts the distance to the goal in ``config.distance_unit``.
+    that R_t counts the distance to the goal in ``config.distance_unit``. The weights that the paper does not
+    have are 0 by default, or equal one of its own: see `RewardConfig`.
+
+    Args:
+        earlier: what had become of the agents before this step.
     """
     distance = _distance(after, task)
     safe_speed = after.speed.clamp_min(sim.min_speed)
-    blamed = events.at_fault if config.at_fault_only else events.collision
+    too_fast = after.speed - task.goal_speed
     return {
         "goal": config.goal * multipliers.goal(goal_quality(after, task, config)) * events.goal,
         "lane": config.lane * (~events.lane_boundary).float(),
-        "collision": -config.collision * multipliers.penalty * blamed,
-        "road_edge": -config.road_edge * multipliers.penalty * events.road_edge,
+        "collision": -multipliers.penalty * collision(events, earlier, config),
+        "road_edge": -multipliers.penalty
+        * events.road_edge
+        * (config.road_edge + config.road_edge_onset * ~earlier.road_edge),
         "termination": -config.termination
         * multipliers.penalty
         * events.unrecoverable
         * distance
         / config.distance_unit,
         "alignment": -config.alignment * alignment(after, task, distance, safe_speed, config),
-        "speed": -config.speed * (after.speed - task.goal_speed).abs(),
+        "speed": -config.speed * too_fast.clamp_min(0.0) - config.speed_below * (-too_fast).clamp_min(0.0),
         "progress": config.progress
         * multipliers.progress
         * progress(_distance(before, task), distance, safe_speed, config),
     }
+
+
+def collision(events: Events, earlier: Outcome, config: RewardConfig) -> Tensor:
+    """Weight of a step's contacts: whose fault it is pays in full, the other one ``config.not_at_fault``."""
+    blame = torch.where(events.at_fault, 1.0, config.not_at_fault * events.collision)
+    return blame * (config.collision + config.collision_onset * ~earlier.collision)
 
 
 def _distance(state: VehicleState, task: Task) -> Tensor:
@@ -71,7 +84,8 @@ def _distance(state: VehicleState, task: Task) -> Tensor:
 
 def goal_quality(state: VehicleState, task: Task, config: RewardConfig) -> Tensor:
     """w_s w_a: 1 or 0.1 each, for target speed and for lane direction met at the goal."""
-    speed_met = (state.speed - task.goal_speed).abs() <= config.goal_speed_tolerance
+    below, above = config.goal_speed_tolerance
+    speed_met = (state.speed >= task.goal_speed - below) & (state.speed <= task.goal_speed + above)
     yaw_met = wrap_angle(state.yaw - task.goal_yaw).abs() <= config.goal_yaw_tolerance
     return torch.where(speed_met, 1.0, 0.1) * torch.where(yaw_met, 1.0, 0.1)
 

@@ -137,7 +137,7 @@ class HighwayVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         self.environment.rho = self.rho
         self.environment.reset()
         info: dict[str, Any] = {}
-        _add(info, "active", _array(self.environment.worlds.active))
+        _add(info, "active", _array(self.environment.worlds.controlled))
         return self._seen(), info
 
     def step(self, actions: np.ndarray) -> tuple[Arrays, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
@@ -154,7 +154,7 @@ class HighwayVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         before = environment.worlds
         step = environment.step(action)
         info: dict[str, Any] = {}
-        _add(info, "active", _array(environment.worlds.active))
+        _add(info, "active", _array(environment.worlds.controlled))
         _add(info, "valid", _array(step.active))
         finished = _array(step.finished)
         if finished.any():
@@ -209,7 +209,9 @@ class HighwayVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         )
         jerk, rate = kinematics.command(pick(action), last.state, last.task.alpha, env.actions, env.sim.dt)
         last.state = kinematics.advance(last.shape, last.state, jerk, rate, env.sim)
-        seen = look(last, env.road_map, pick(env.map_index), None, env.sim).rows(pick(step.finished))
+        road, where = env.road_map, pick(env.map_index)
+        seen = look(last.shape, last.state, last.task, last.active, road, where, None, env.sim)
+        seen = seen.rows(pick(step.finished))
         rows = self._shaped(_arrays(seen))
         result = np.full(self.num_envs, None, dtype=object)
         for k, row in enumerate(np.flatnonzero(_array(step.finished))):

@@ -70,11 +70,15 @@ class VehicleShape(TensorBatch):
         return self.length - self.rear_overhang
 
     @property
+    def rear_reach(self) -> Tensor:
+        """Reference point to the rear end of the vehicle, trailer included, in m."""
+        return torch.maximum(self.rear_overhang, self.trailer_length - self.trailer_setback)
+
+    @property
     def reach(self) -> Tensor:
         """No part of the vehicle is farther than this from its reference point, in m."""
-        behind = torch.maximum(self.rear_overhang, self.trailer_length - self.trailer_setback)
         half_width = 0.5 * torch.maximum(self.width, self.trailer_width)
-        return torch.maximum(self.front_overhang, behind) + half_width
+        return torch.maximum(self.front_overhang, self.rear_reach) + half_width
 
 
 @dataclass

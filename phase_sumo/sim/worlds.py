@@ -2,37 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from phase_sumo.config import Actions, RewardConfig, SimConfig
 from phase_sumo.sim import kinematics
-from phase_sumo.sim.events import detect
+from phase_sumo.sim.events import Outcome, detect
 from phase_sumo.sim.geometry import materialise
 from phase_sumo.sim.neighbours import gather, nearest
 from phase_sumo.sim.observation import Appearance, Observation, appearance, observe
+from phase_sumo.sim.pairs import PairTable
 from phase_sumo.sim.reward import Multipliers, rewards
 from phase_sumo.sim.road_map import RoadMap
-from phase_sumo.sim.rolling import NextGoals
-from phase_sumo.sim.scenario import Scenario
-from phase_sumo.sim.vehicles import Task, TensorBatch, VehicleShape, VehicleState
-
-
-@dataclass
-class Outcome(TensorBatch):
-    """How one agent's episode ended or stands; all [W, N].
-
-    Attributes:
-        goal: reached its goal.
-        collision, at_fault, road_edge: it happened at least once.
-    """
-
-    goal: Tensor
-    collision: Tensor
-    at_fault: Tensor
-    road_edge: Tensor
+from phase_sumo.sim.scenario import Scenario, of_trucks
+from phase_sumo.sim.scripted import Moved, Script
+from phase_sumo.sim.vehicles import Task, VehicleShape, VehicleState
 
 
 @dataclass
@@ -44,6 +30,10 @@ class Worlds:
         active: [W, N] bool, slots with an agent that has not finished.
         goal_node: [W, N] node of each goal in the pair table.
         clock: [W] steps since the world's scenario began.
+        script: of the vehicles that no policy drives, [W, N].
+        desired_speed: [W, N] m/s that target speeds return to where goals roll on.
+        rolling: [W] bool, agents at their goal get the next one.
+        kind: [W] what there is besides agents, see `scenario`.
     """
 
     shape: VehicleShape
@@ -53,25 +43,50 @@ class Worlds:
     active: Tensor
     goal_node: Tensor
     clock: Tensor
+    script: Script
+    desired_speed: Tensor
+    rolling: Tensor
+    kind: Tensor
+
+    @property
+    def controlled(self) -> Tensor:
+        """[W, N] bool, the agents: active and not scripted."""
+        return self.active & ~self.script.scripted
+
+    @staticmethod
+    def begin(scenario: Scenario, clock: Tensor) -> Worlds:
+        """Worlds that have just begun, or are taken to be at some ``clock`` [W]."""
+        outcome = Outcome(*(torch.zeros_like(scenario.active) for _ in range(4)))
+        return Worlds(
+            scenario.shape,
+            scenario.state,
+            scenario.task,
+            outcome,
+            scenario.active,
+            scenario.goal_node,
+            clock,
+            scenario.script,
+            scenario.desired_speed,
+            scenario.rolling,
+            scenario.kind,
+        )
 
 
 @dataclass(frozen=True)
-class RollingGoals:
-    """For one step: table of next goals, x, y, yaw and curvature of all nodes [V, 4], and uniform [W, N]."""
+class Beyond:
+    """What worlds need for a step that have rolling goals or scripted vehicles; others do without.
 
-    table: NextGoals
-    node: Tensor
+    Attributes:
+        pairs: start-goal pairs by node.
+        uniform: [W, N] random numbers of this step in [0, 1).
+        horizon: steps of a world whose goals roll on.
+        scripted: where the scripted vehicles are after the step.
+    """
+
+    pairs: PairTable
     uniform: Tensor
-
-    def advance(
-        self, reached: Tensor, goal_node: Tensor, truck: Tensor, task: Task
-    ) -> tuple[Tensor, Task, Tensor]:
-        """Goal nodes and tasks after agents have ``reached`` [W, N] theirs, and which of them go on."""
-        following, exists = self.table.draw(goal_node, truck, self.uniform)
-        goes_on = reached & exists
-        x, y, yaw, _ = self.node[following].unbind(-1)
-        onward = Task(x, y, yaw, task.goal_speed, task.alpha)
-        return torch.where(goes_on, following, goal_node), onward.where(goes_on, task), goes_on
+    horizon: int
+    scripted: Moved
 
 
 @dataclass
@@ -109,7 +124,7 @@ def advance(
     reward_config: RewardConfig,
     actions: Actions,
     trailers: int,
-    rolling: RollingGoals | None = None,
+    beyond: Beyond | None = None,
 ) -> tuple[Worlds, Transition]:
     """One step of every world, without side effects, randomness or synchronisation with a device.
 
@@ -118,40 +133,43 @@ def advance(
         action: [W, N] int64 tokens; those of inactive agents are ignored.
         rho: scalar curriculum progress.
         trailers: only this many slots, the first ones, may have a trailer.
-        rolling: gives agents at their goal the next one; without it they leave.
+        beyond: for worlds with rolling goals or scripted vehicles.
     """
-    before, active, shape, task = worlds.state, worlds.active, worlds.shape, worlds.task
+    before, agents, shape, task = worlds.state, worlds.controlled, worlds.shape, worlds.task
     jerk, rate = kinematics.command(action, before, task.alpha, actions, sim.dt)
-    after = kinematics.advance(shape, before, jerk, rate, sim).where(active, before)
-    events = detect(shape, before, after, task, active, road_map, map_index, sim, trailers)
-    terms = rewards(before, after, task, events, Multipliers.at(rho, reward_config), reward_config, sim)
+    after = kinematics.advance(shape, before, jerk, rate, sim).where(agents, before)
+    script, there = worlds.script, worlds.active
+    if beyond is not None:
+        moved = beyond.scripted
+        after = moved.state.where(there & script.scripted, after)
+        script, there = replace(script, node=moved.node, beyond=moved.beyond), there & ~moved.gone
+    events = detect(shape, before, after, task, there, road_map, map_index, sim, trailers)
+    terms = rewards(
+        before, after, task, events, worlds.outcome, Multipliers.at(rho, reward_config), reward_config, sim
+    )
 
     clock = worlds.clock + 1
-    goal_node, goes_on = worlds.goal_node, torch.zeros_like(active)
-    if rolling is not None:
-        goal_node, task, goes_on = rolling.advance(events.goal, goal_node, shape.truck, task)
-    terminated = (events.goal & ~goes_on) | events.unrecoverable
-    truncated = active & ~terminated & (clock >= sim.horizon).unsqueeze(-1)
+    horizon, goal_node, goes_on = sim.horizon, worlds.goal_node, torch.zeros_like(agents)
+    if beyond is not None:
+        goal_node, task, goes_on = _next_goals(worlds, events.goal & agents, beyond)
+        horizon = torch.where(worlds.rolling, beyond.horizon, sim.horizon)
+    terminated = agents & ((events.goal & ~goes_on) | events.unrecoverable)
+    truncated = agents & ~terminated & (clock >= horizon).unsqueeze(-1)
     finished = terminated | truncated
-    outcome = Outcome(
-        worlds.outcome.goal | events.goal,
-        worlds.outcome.collision | events.collision,
-        worlds.outcome.at_fault | events.at_fault,
-        worlds.outcome.road_edge | events.road_edge,
-    )
-    left = active & ~finished
-    over = ~left.any(-1)
+    outcome = worlds.outcome.after(events)
+    left = there & ~finished
+    over = ~(left & agents).any(-1)
     fresh = over.unsqueeze(-1)
-    count = active.sum().clamp_min(1)
+    count = agents.sum().clamp_min(1)
     transition = Transition(
-        reward=torch.where(active, sum(terms.values(), torch.zeros_like(after.x)), 0.0),
-        active=active,
+        reward=torch.where(agents, sum(terms.values(), torch.zeros_like(after.x)), 0.0),
+        active=agents,
         terminated=terminated,
         truncated=truncated,
         finished=finished,
         outcome=outcome,
         over=over,
-        terms={name: (term * active).sum() / count for name, term in terms.items()},
+        terms={name: (term * agents).sum() / count for name, term in terms.items()},
     )
     following = Worlds(
         shape=spare.shape.where(fresh, shape),
@@ -161,19 +179,43 @@ def advance(
         active=torch.where(fresh, spare.active, left),
         goal_node=torch.where(fresh, spare.goal_node, goal_node),
         clock=torch.where(over, 0, clock),
+        script=spare.script.where(fresh, script),
+        desired_speed=torch.where(fresh, spare.desired_speed, worlds.desired_speed),
+        rolling=torch.where(over, spare.rolling, worlds.rolling),
+        kind=torch.where(over, spare.kind, worlds.kind),
     )
     return following, transition
 
 
+def _next_goals(worlds: Worlds, reached: Tensor, beyond: Beyond) -> tuple[Tensor, Task, Tensor]:
+    """Goal nodes and tasks after agents have ``reached`` [W, N] theirs, and which of them go on."""
+    pairs, truck = beyond.pairs, worlds.shape.truck
+    kind = (beyond.uniform * 2.0).long()  # same lane or lane change, half and half
+    uniform = beyond.uniform * 2.0 - kind
+    pair, exists = pairs.onward_from(worlds.goal_node, kind, truck, uniform)
+    goes_on = reached & exists & worlds.rolling.unsqueeze(-1)
+    following = torch.where(goes_on, pairs.goal[pair], worlds.goal_node)
+    x, y, yaw, _ = pairs.node[following].unbind(-1)
+    speed = torch.minimum(worlds.desired_speed, of_trucks(truck) * pairs.goal_speed[pair])
+    onward = Task(x, y, yaw, speed, worlds.task.alpha)
+    return following, onward.where(goes_on, worlds.task), goes_on
+
+
 def look(
-    worlds: Worlds, road_map: RoadMap, map_index: Tensor, noise: tuple[Tensor, Tensor] | None, sim: SimConfig
+    shape: VehicleShape,
+    state: VehicleState,
+    task: Task,
+    active: Tensor,
+    road_map: RoadMap,
+    map_index: Tensor,
+    noise: tuple[Tensor, Tensor] | None,
+    sim: SimConfig,
 ) -> Observation:
     """What every agent sees [W, N, ...]; rows of inactive slots mean nothing."""
-    state = worlds.state
-    index, mask = nearest(state.x, state.y, worlds.active, sim)
-    table = materialise(*vars(appearance(worlds.shape, state)).values())
+    index, mask = nearest(state.x, state.y, active, sim)
+    table = materialise(*vars(appearance(shape, state)).values())
     others = Appearance(*(gather(values, index) for values in table))
     cell = road_map.cell(map_index, state.x, state.y)
     cell, view = materialise(cell, road_map.cell_view[cell])
     lane_yaw = road_map.cell_yaw[cell]
-    return observe(worlds.shape, state, worlds.task, others, mask, road_map, view, lane_yaw, sim, noise)
+    return observe(shape, state, task, others, mask, road_map, view, lane_yaw, sim, noise)

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from phase_sumo.config import REGIMES, TrainConfig
+from phase_sumo.config import POOLS, REGIMES, ScenarioConfig, TrainConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.bundle import MapBundle
@@ -64,12 +64,11 @@ def bench_sim(
         worlds,
         slots,
         policy.sim,
-        replace(config.scenarios, regimes=(full,), agent_scale=1.0),
+        ScenarioConfig(regimes=(full,), rolling_worlds=1.0),
         config.reward,
         policy.actions,
         seed=seed,
         compiled=True,
-        rolling=True,
     )
     parts = _timed_parts(env)
     generator = torch.Generator().manual_seed(seed)
@@ -77,7 +76,7 @@ def bench_sim(
     for t in range(WARM_UP + steps):
         if t == WARM_UP:
             parts.update(dict.fromkeys(parts, 0.0))
-        active = env.worlds.active
+        active = env.worlds.controlled
         action = torch.zeros(active.shape, dtype=torch.long)
         action[active] = policy.act(env.observation.rows(active), generator)
         acting = int(active.sum())
@@ -227,7 +226,7 @@ def _conversion(read: Callable[[], LaneNetwork]) -> dict[str, float]:
 
     network = timed("read", read)
     graph = timed("graph", lambda: build_lane_graph(network))
-    pools = timed("pools", lambda: tuple(build_pool(graph, regime) for regime in REGIMES))
+    pools = timed("pools", lambda: tuple(build_pool(graph, regime) for regime in POOLS))
     road_map = timed("road_map", lambda: build_road_map(road_lines(network), graph))
     bundle = MapBundle(network.name, road_map, graph, pools)
     with tempfile.TemporaryDirectory(prefix="phase_sumo_") as folder:

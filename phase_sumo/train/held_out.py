@@ -7,7 +7,8 @@ from phase_sumo.evaluate.synthetic import RATES, evaluate_synthetic
 from phase_sumo.policy.checkpoint import Policy
 from phase_sumo.sim.bundle import MapBundle
 
-WORLDS = 48
+WORLDS = 60
+BY_GROUP = ("goal_rate", "at_fault_rate")
 
 
 def is_due(steps: int, latest: int, every: int) -> bool:
@@ -18,6 +19,9 @@ def is_due(steps: int, latest: int, every: int) -> bool:
 def held_out_rates(policy: Policy, maps: list[MapBundle], config: TrainConfig) -> dict[str, float]:
     """Columns of the curve: goal, collision and road-edge rates in the same worlds every time."""
     result = evaluate_synthetic(
-        policy, maps, config.scenarios, WORLDS, config.slots, seed=10_000 + config.seed
+        policy, maps, config.scenarios, WORLDS, config.slots, seed=10_000 + config.seed, greedy=True
     )
-    return {f"held_out_{name}": result[name] for name in RATES}
+    rates = {f"held_out_{name}": result[name] for name in RATES}
+    for group in {**result["by_regime"], **result["by_kind"]}.items():
+        rates |= {f"held_out_{group[0]}_{name}": group[1][name] for name in BY_GROUP}
+    return rates

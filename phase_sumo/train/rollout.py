@@ -165,7 +165,7 @@ def collect(
     terms: dict[str, Tensor] = {}
     at = 0
     for _ in range(steps):
-        active = env.worlds.active
+        active = env.worlds.controlled
         index = (
             active.flatten().nonzero().squeeze(-1)
         )  # waits for the device; padding costs three times the work
@@ -185,7 +185,7 @@ def collect(
         columns["value"].append(value)
         _add(totals, _happened(step))
         _add(terms, step.terms)
-    active = env.worlds.active
+    active = env.worlds.controlled
     index = active.flatten().nonzero().squeeze(-1)
     last = evaluate(network, buffer.put(env.observation, index, at), bf16)[1][: len(index)] * std + mean
     return Rollout(

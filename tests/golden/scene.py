@@ -66,7 +66,8 @@ def play(road_map: RoadMap, sim: SimConfig | None = None, reward: RewardConfig |
     course = drive(worlds, road_map, actions, sim=sim, reward=reward)
     names = ("x", "y", "yaw", "speed", "accel", "steer", "hitch")
     states = [after.state for after, _ in course[EVERY - 1 :: EVERY]]
-    seen = look(course[STEPS // 2][0], road_map, torch.zeros(1, dtype=torch.long), None, sim or SimConfig())
+    half, first = course[STEPS // 2][0], torch.zeros(1, dtype=torch.long)
+    seen = look(half.shape, half.state, half.task, half.active, road_map, first, None, sim or SimConfig())
     return {
         "state": {
             vehicle: {name: [getattr(s, name)[0, k].item() for s in states] for name in names}

@@ -11,8 +11,9 @@ from torch import Tensor
 from phase_sumo.config import ActionConfig, RewardConfig, SimConfig
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.scenario import Scenario
+from phase_sumo.sim.scripted import Script
 from phase_sumo.sim.vehicles import Task, VehicleShape, VehicleState
-from phase_sumo.sim.worlds import Outcome, Transition, Worlds, advance
+from phase_sumo.sim.worlds import Transition, Worlds, advance
 
 ACTIONS = ActionConfig()
 
@@ -25,9 +26,14 @@ def token(jerk: float, rate: float) -> int:
 def place(shape: VehicleShape, state: VehicleState, task: Task, active: Tensor | None = None) -> Worlds:
     """Worlds at the beginning of a scenario; all slots active by default."""
     active = torch.ones_like(state.x, dtype=torch.bool) if active is None else active
-    outcome = Outcome(*(torch.zeros_like(active) for _ in range(4)))
-    nowhere, clock = torch.zeros(active.shape, dtype=torch.long), torch.zeros(len(active), dtype=torch.long)
-    return Worlds(shape, state, task, outcome, active, nowhere, clock)
+    return Worlds.begin(scenario_of(shape, state, task, active), torch.zeros(len(active), dtype=torch.long))
+
+
+def scenario_of(shape: VehicleShape, state: VehicleState, task: Task, active: Tensor) -> Scenario:
+    """A scenario of these agents alone."""
+    number = torch.zeros(len(active), dtype=torch.long)
+    nowhere, script = torch.zeros(active.shape, dtype=torch.long), Script.nobody(active)
+    return Scenario(shape, state, task, active, nowhere, script, task.goal_speed, number.bool(), number)
 
 
 def drive(
@@ -47,7 +53,7 @@ def drive(
         map_index: [W]; the first map by default.
         trailers: slots that may have a trailer; all by default.
     """
-    begin = Scenario(worlds.shape, worlds.state, worlds.task, worlds.active, worlds.goal_node)
+    begin = scenario_of(worlds.shape, worlds.state, worlds.task, worlds.active)
     count, slots = worlds.active.shape
     map_index = torch.zeros(count, dtype=torch.long) if map_index is None else map_index
     course = []

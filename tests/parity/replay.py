@@ -14,8 +14,8 @@ from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.observation import Observation
 from phase_sumo.sim.vehicles import Task, VehicleState
-from phase_sumo.sim.worlds import Outcome, Worlds
 from tests.parity.recording import Decision, Recording, SumoStep
+from tests.rollouts import place
 
 
 class Replay:
@@ -45,15 +45,8 @@ class Replay:
         columns = {n: torch.tensor([[start.table[v][n].tolist() for v in self.ids]]) for n in STATE}
         none = torch.zeros(1, len(self.ids), dtype=torch.bool)
         nowhere = torch.zeros(1, len(self.ids))
-        self.environment.worlds = Worlds(
-            shape,
-            VehicleState(**columns),
-            Task(*(nowhere.clone() for _ in TASK)),
-            Outcome(*(none.clone() for _ in range(4))),
-            ~none,
-            none.long(),
-            torch.zeros(1, dtype=torch.long),
-        )
+        task = Task(*(nowhere.clone() for _ in TASK))
+        self.environment.worlds = place(shape, VehicleState(**columns), task, ~none)
 
     @property
     def state(self) -> VehicleState:

@@ -88,7 +88,8 @@ def agree(one: Transition, other: Transition, select=lambda t: t, tolerance: flo
 
 def seen(worlds: Worlds, road_map: RoadMap, map_index: Tensor | None = None):
     index = torch.zeros(len(worlds.active), dtype=torch.long) if map_index is None else map_index
-    return look(worlds, road_map, index, None, SIM)
+    agents = worlds.shape, worlds.state, worlds.task, worlds.active
+    return look(*agents, road_map, index, None, SIM)
 
 
 @pytest.mark.parametrize(

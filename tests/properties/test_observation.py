@@ -12,7 +12,6 @@ from phase_sumo.config import SimConfig
 from phase_sumo.sim.neighbours import nearest
 from phase_sumo.sim.observation import EGO, PARTNER, ROAD
 from phase_sumo.sim.road_map import RoadMap
-from phase_sumo.sim.worlds import Outcome, Worlds
 from phase_sumo.sim.worlds import look as look_at
 from tests.helpers.factories import car_shape, task_to, truck_shape, vehicle_state
 
@@ -40,11 +39,8 @@ def scene(count: int = 12, seed: int = 0):
 
 def look(straight_map, shape, state, task, active=None, road: RoadMap | None = None, noise=None):
     active = torch.ones_like(state.x, dtype=torch.bool) if active is None else active
-    outcome = Outcome(*(torch.zeros_like(active) for _ in range(4)))
-    worlds = Worlds(
-        shape, state, task, outcome, active, torch.zeros_like(active).long(), torch.zeros(1, dtype=torch.long)
-    )
-    return look_at(worlds, road or straight_map.road_map, MAP, noise, SIM).rows(active)
+    road = road or straight_map.road_map
+    return look_at(shape, state, task, active, road, MAP, noise, SIM).rows(active)
 
 
 def moved(road: RoadMap, dx: float, dy: float) -> RoadMap:

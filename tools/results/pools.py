@@ -45,7 +45,7 @@ def draw(bundle: MapBundle) -> Figure:
     ends = xy[[xy[:, 0].argmin(), xy[:, 0].argmax()]]
     yaw = float(np.arctan2(*(ends[1] - ends[0])[::-1]))
     lengths = np.arange(0.0, max(r.path_bounds[1] for r in REGIMES) + 10.0, 8.0)
-    for row, (regime, pool) in enumerate(zip(REGIMES, bundle.pools, strict=True)):
+    for row, (regime, pool) in enumerate(zip(REGIMES, bundle.pools[: len(REGIMES)], strict=True)):
         axes, left, right = (figure.add_subplot(grid[row, k]) for k in range(3))
         _pairs(axes, bundle, row, yaw)
         axes.set_title(

@@ -23,7 +23,7 @@ from phase_sumo.bridge.maps.line_geometry import arc_length
 from phase_sumo.bridge.maps.net_xml import network_name
 from phase_sumo.bridge.maps.road_lines import road_lines
 from phase_sumo.bridge.maps.stretches import cut
-from phase_sumo.config import REGIMES, ScenarioConfig
+from phase_sumo.config import POOLS, ScenarioConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.bundle import MapBundle, bundle_key, load_if_current, load_key, save_bundle
 from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
@@ -75,7 +75,7 @@ Draw = Callable[[MapBundle, Path], None]
 
 def build_bundle(network: LaneNetwork, scenario: ScenarioConfig | None = None, seed: int = 0) -> MapBundle:
     """Lane graph, road map and one start-goal pool per regime."""
-    scenario = scenario or ScenarioConfig()
+    scenario = scenario or ScenarioConfig(regimes=POOLS)
     graph = build_lane_graph(network)
     road_map = build_road_map(road_lines(network), graph)
     pools = tuple(build_pool(graph, regime, scenario.max_lane_changes, seed) for regime in scenario.regimes)
@@ -84,7 +84,7 @@ def build_bundle(network: LaneNetwork, scenario: ScenarioConfig | None = None, s
 
 def load_or_build(network: LaneNetwork, folder: str | Path, seed: int = 0) -> MapBundle:
     """The bundle in ``folder`` if it was made from this network by this version, else a new one."""
-    key = bundle_key(network, ScenarioConfig(), seed)
+    key = bundle_key(network, ScenarioConfig(regimes=POOLS), seed)
     bundle = load_if_current(Path(folder) / f"{network.name}.npz", key)
     return build_bundle(network, seed=seed) if bundle is None else bundle
 
@@ -230,7 +230,7 @@ def _write(
     found = [str(warning.message) for warning in caught]
     if kinks := len(lateral_kinks(graph)):
         found.append(f"{part.name}: {kinks} places where a lane turns too sharply to be followed")
-    if empty := [r.name for r, pool in zip(REGIMES, pools, strict=True) if not len(pool.start)]:
+    if empty := [r.name for r, pool in zip(POOLS, pools, strict=True) if not len(pool.start)]:
         found.append(f"{part.name}: too short or curved for start-goal pairs in {', '.join(empty)} traffic")
     return counts, found
 

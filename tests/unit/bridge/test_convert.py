@@ -13,7 +13,7 @@ import torch
 
 from phase_sumo.bridge.maps.convert import convert
 from phase_sumo.cli import main
-from phase_sumo.config import REGIMES
+from phase_sumo.config import POOLS
 from phase_sumo.errors import PhaseError
 from phase_sumo.report.map_picture import draw_map
 from phase_sumo.sim.bundle import MapBundle, load_bundle, save_bundle
@@ -78,7 +78,7 @@ def test_the_summary_counts_what_is_in_the_bundle(converted):
 
 def test_a_bundle_has_one_pool_per_regime_and_finite_numbers(converted):
     bundle = load_bundle(converted[0] / "small.npz")
-    assert len(bundle.pools) == len(REGIMES)
+    assert len(bundle.pools) == len(POOLS)
     for part in (bundle.road_map, bundle.graph, *bundle.pools):
         for name, array in part.arrays().items():
             assert np.isfinite(array).all(), name

@@ -69,15 +69,16 @@ def test_lane_change_share_follows_the_configuration(straight_map):
     )
     env = make(straight_map, worlds=40, scenarios=ScenarioConfig(regimes=regimes, agent_scale=0.25))
     changes = (env.worlds.task.goal_y - env.worlds.state.y).abs() > 2.0
-    for w in range(40):
-        wanted = regimes[env.regime_index[w]].lane_change_ratio
-        assert (changes[w][env.worlds.active[w]].float() == wanted).all()
+    for wanted in (0.0, 1.0):
+        worlds = torch.tensor([regimes[r].lane_change_ratio == wanted for r in env.regime_index.tolist()])
+        # where the road ends too soon for one kind of goal the other kind serves
+        assert changes[worlds][env.worlds.active[worlds]].float().mean() == pytest.approx(wanted, abs=0.05)
 
 
 def test_truck_share_and_trailers(straight_map):
     env = make(straight_map, worlds=64, scenarios=ScenarioConfig(agent_scale=0.25, truck_ratio=0.5))
     trucks = env.worlds.shape.truck[env.worlds.active].float().mean()
-    assert 0.3 < trucks < 0.6  # long vehicles are rejected a little more often
+    assert trucks == pytest.approx(0.5, abs=0.02)
     assert (env.worlds.shape.trailer_length[~env.worlds.shape.truck] == 0).all()
     assert (env.worlds.shape.articulated & env.worlds.active).any()
 
@@ -164,7 +165,7 @@ def test_everything_stays_finite_under_extreme_actions(straight_map, jerk: float
 
 
 def test_rolling_goals_go_on_until_the_road_ends(straight_map):
-    env = make(straight_map, worlds=16, rolling=True)
+    env = make(straight_map, worlds=16, scenarios=ScenarioConfig(agent_scale=0.25, rolling_worlds=1.0))
     reached = ended_at_goal = 0
     for _ in range(SimConfig().horizon - 1):
         before = env.worlds

@@ -10,7 +10,7 @@ import torch
 
 from phase_sumo.config import RewardConfig, SimConfig, preset
 from phase_sumo.sim.curriculum import curriculum_progress
-from phase_sumo.sim.events import Events
+from phase_sumo.sim.events import Events, Outcome
 from phase_sumo.sim.reward import Multipliers, alignment, goal_quality, progress, rewards
 from tests.helpers.factories import column, task_to, vehicle_state
 
@@ -23,11 +23,18 @@ def events(**happened: bool) -> Events:
     return Events(*(torch.tensor([[happened.get(name, False)]]) for name in names))
 
 
-def terms(config=SI, rho=0.0, before=None, after=None, task=None, **happened):
+def outcome(**happened: bool) -> Outcome:
+    names = [f.name for f in dataclasses.fields(Outcome)]
+    return Outcome(*(torch.tensor([[happened.get(name, False)]]) for name in names))
+
+
+def terms(config=SI, rho=0.0, before=None, after=None, task=None, earlier=None, **happened):
     after = vehicle_state(x=10.0, speed=20.0) if after is None else after
     before = vehicle_state(x=8.0, speed=20.0) if before is None else before
     task = task_to() if task is None else task
-    all_terms = rewards(before, after, task, events(**happened), Multipliers.at(rho, config), config, SIM)
+    earlier = outcome() if earlier is None else earlier
+    now, multipliers = events(**happened), Multipliers.at(rho, config)
+    all_terms = rewards(before, after, task, now, earlier, multipliers, config, SIM)
     return {name: value.item() for name, value in all_terms.items()}
 
 
@@ -46,6 +53,21 @@ def test_penalties_grow_with_the_curriculum_and_fall_on_the_culprit_only():
     assert terms(at_fault=True, rho=1.0)["collision"] == pytest.approx(-2.69)
     assert terms(road_edge=True)["road_edge"] == pytest.approx(-0.9)
     assert terms(road_edge=True, rho=0.5)["road_edge"] == pytest.approx(-0.9 * 1.845)
+
+
+def test_the_beginning_of_a_contact_counts_once_and_the_other_one_pays_a_share():
+    config = RewardConfig(
+        collision=0.5, collision_onset=12.0, not_at_fault=0.25, road_edge=0.3, road_edge_onset=5.0
+    )
+    mine, theirs = {"collision": True, "at_fault": True}, {"collision": True}
+    assert terms(config, **mine)["collision"] == pytest.approx(-12.5)
+    assert terms(config, earlier=outcome(**mine), **mine)["collision"] == pytest.approx(-0.5)
+    assert terms(config, **theirs)["collision"] == pytest.approx(-0.25 * 12.5)
+    assert terms(config, rho=1.0, earlier=outcome(**theirs), **theirs)["collision"] == pytest.approx(
+        -0.25 * 0.5 * 2.69
+    )
+    assert terms(config, road_edge=True)["road_edge"] == pytest.approx(-5.3)
+    assert terms(config, earlier=outcome(road_edge=True), road_edge=True)["road_edge"] == pytest.approx(-0.3)
 
 
 @pytest.mark.parametrize("rho", [0.0, 1.0])
@@ -81,6 +103,9 @@ def test_goal_reward_and_its_quality():
 
 def test_speed_and_lane_terms():
     assert terms(after=vehicle_state(x=10.0, speed=17.0))["speed"] == pytest.approx(-0.07 * 3.0)
+    slower = RewardConfig(speed=0.05, speed_below=0.005)
+    assert terms(slower, after=vehicle_state(x=10.0, speed=17.0))["speed"] == pytest.approx(-0.005 * 3.0)
+    assert terms(slower, after=vehicle_state(x=10.0, speed=23.0))["speed"] == pytest.approx(-0.05 * 3.0)
     assert terms()["lane"] == pytest.approx(0.005)
     assert terms(lane_boundary=True)["lane"] == 0.0
 

@@ -22,7 +22,7 @@ from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.bridge.maps.net_xml import parse_net
 from phase_sumo.bridge.maps.road_lines import road_edges
 from phase_sumo.bridge.maps.sumo_network import read_network
-from phase_sumo.config import REGIMES
+from phase_sumo.config import POOLS, REGIMES
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.pool import StartGoalPool
@@ -101,7 +101,7 @@ def test_the_network_converts_into_a_road_that_can_be_driven(path):
 def test_the_network_offers_tasks_for_cars_and_trucks(path):
     graph, pools = bundle_of(path).graph, bundle_of(path).pools
     rows = (ROOT / "networks" / "tuples.csv").read_text().split()
-    for regime, pool in zip(REGIMES, pools, strict=True):
+    for regime, pool in zip(POOLS, pools, strict=True):
         if regime.name == "free" and f"{name_of(path)},free" not in rows:
             continue  # too curved or too short for the fastest traffic
         assert len(pool.start) > 1000
