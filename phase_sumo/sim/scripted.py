@@ -126,6 +126,7 @@ def follow_lane(
     now = seconds.unsqueeze(-1)
     braking = (now >= script.brake_from) & (now < script.brake_until)
     accel = torch.where(braking, torch.minimum(-script.brake, accel), accel)
+    accel = torch.where(script.cruise > 0.0, accel, sim.accel_bounds[0])
     accel = accel.clamp(sim.accel_bounds[0], config.accel)
     speed = (state.speed + accel * sim.dt).clamp_min(0.0)
     node, beyond = script.node, script.beyond + speed * sim.dt
@@ -139,9 +140,10 @@ def follow_lane(
     next_x, next_y, next_yaw, _ = lanes.node[following].unbind(-1)
     steer = torch.atan(shape.wheelbase * curvature)
     moved = VehicleState(
-        x=x + share * (next_x - x),
-        y=y + share * (next_y - y),
-        yaw=yaw + share * wrap_angle(next_yaw - yaw),
+        # who stands keeps to where it is, beside the centre of its lane
+        x=torch.where(speed > 0.0, x + share * (next_x - x), state.x),
+        y=torch.where(speed > 0.0, y + share * (next_y - y), state.y),
+        yaw=torch.where(speed > 0.0, yaw + share * wrap_angle(next_yaw - yaw), state.yaw),
         speed=speed,
         accel=(speed - state.speed) / sim.dt,
         steer=steer,
