@@ -14,8 +14,8 @@ from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.observation import Observation
 from phase_sumo.sim.vehicles import Task, VehicleState
+from tests.helpers.rollouts import place
 from tests.parity.recording import Decision, Recording, SumoStep
-from tests.rollouts import place
 
 
 class Replay:
