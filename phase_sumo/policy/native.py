@@ -22,6 +22,7 @@ from phase_sumo.sim.compiler import cpp_compiler
 from phase_sumo.sim.observation import PARTNER, ROAD, Observation
 
 SOURCE = Path(__file__).with_name("scene_encoder.cpp")
+HEADERS = ("vectors.h", "products_fp32.h", "products_bf16.h", "layers.h")
 # -ffast-math but for its change of rounding in the whole process that loads the library
 FAST = [
     *("-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros"),
@@ -31,6 +32,8 @@ FAST = [
 THREADS = ["-fopenmp"] if sys.platform == "linux" else []
 FLAGS = ["-std=c++17", "-O3", "-march=native", *FAST, *THREADS, "-shared", "-fPIC"]
 VECTOR = 16  # numbers in the kernel's vectors
+_CAPABILITIES = getattr(torch.cpu, "get_capabilities", dict)()
+TILES = sys.platform == "linux" and all(_CAPABILITIES.get(name) for name in ("amx_bf16", "avx512_bf16"))
 
 
 class Kernel:
@@ -61,7 +64,7 @@ class Kernel:
 
     def backward(self, weights: Tensor, inputs: tuple[Tensor, ...], grad: Tensor) -> Tensor:
         """Gradient of the weights [weight_count] for that of the result."""
-        grad_weights = torch.zeros(torch.get_num_threads(), self.weight_count)
+        grad_weights = torch.empty(torch.get_num_threads(), self.weight_count)
         self._call(self.library.backward, weights, *inputs, grad.float().contiguous(), grad_weights)
         return grad_weights.sum(0)
 
@@ -89,8 +92,11 @@ class _Encode(torch.autograd.Function):
 
 
 @lru_cache
-def load_kernel(config: NetworkConfig, partners: int, points: int) -> Kernel | None:
+def load_kernel(config: NetworkConfig, partners: int, points: int, bf16: bool = False) -> Kernel | None:
     """The kernel for a network and its set sizes, compiled once per machine.
+
+    Args:
+        bf16: matrix products of factors rounded to bf16, where the processor has tiles for them (AMX).
 
     Returns:
         None where there is no C++ compiler, where it fails (with a warning), or for sizes that fill no whole
@@ -112,8 +118,10 @@ def load_kernel(config: NetworkConfig, partners: int, points: int) -> Kernel | N
         "ROAD_FEATURES": len(ROAD),
     }
     definitions = [f"-D{name}={size}" for name, size in sizes.items()]
+    tiles = bf16 and TILES and config.width // config.heads % VECTOR == 0
     try:
-        return Kernel(_compile([compiler, *FLAGS, *definitions]))
+        kernel = Kernel(_compile([compiler, *FLAGS, *definitions, *(["-DBF16"] if tiles else [])]))
+        return kernel if kernel.library.is_ready() else load_kernel(config, partners, points)
     except (OSError, subprocess.CalledProcessError) as error:
         reason = (getattr(error, "stderr", None) or str(error).encode()).decode(errors="replace").strip()
         warnings.warn(f"the network runs in plain torch, several times slower: {reason}", stacklevel=2)
@@ -122,7 +130,8 @@ def load_kernel(config: NetworkConfig, partners: int, points: int) -> Kernel | N
 
 def _compile(command: list[str]) -> Path:
     """The shared library made by ``command`` from `SOURCE`; from the cache, if it was made before."""
-    key = "\n".join([*command, _processor(), SOURCE.read_text()])
+    sources = [SOURCE.with_name(name).read_text() for name in (SOURCE.name, *HEADERS)]
+    key = "\n".join([*command, _processor(), *sources])
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "phase_sumo"
     library = cache / f"scene_encoder-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
     if not library.exists():

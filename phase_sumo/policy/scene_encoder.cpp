@@ -1,426 +1,278 @@
-// SceneEncoder (scene_encoder.py) for one agent after another, forward and backward, in fp32.
+// SceneEncoder (scene_encoder.py) for a few agents after another, forward and backward.
 //
-// An agent's partners and road points are the lanes of vector registers: every feature is a row of
-// PARTNERS or POINTS numbers, all matrices are small, sizes are known when this is compiled, and nothing
+// The partners and road points of some AGENTS are the lanes of vector registers: every feature is a row of
+// OTHERS or ROADS numbers, all matrices are small, sizes are known when this is compiled, and nothing
 // but features and results leaves the first cache levels. The backward pass works the forward pass out again
 // instead of keeping it. Weights come as one array, layer by layer as in the module, a bias after its matrix;
-// so do their gradients.
+// so do their gradients. Matrix products are those of fp32, or with -DBF16 of bf16; all else is fp32.
 
-#include <cstdint>
-#include <cstring>
-#include <utility>
+#include "layers.h"
 
 namespace {
 
-constexpr int VECTOR = 16;
-typedef float Vector __attribute__((vector_size(4 * VECTOR)));
-typedef float Unaligned __attribute__((vector_size(4 * VECTOR), aligned(4)));
-typedef int32_t Integers __attribute__((vector_size(4 * VECTOR)));
+constexpr int OTHERS = AGENTS * PARTNERS, ROADS = AGENTS * POINTS;
+constexpr int PARTNER_STRIDE = PARTNER_FEATURES * PARTNERS, ROAD_STRIDE = ROAD_FEATURES * POINTS,
+              POOLED_STRIDE = 2 * SEEDS * WIDTH;
 
-constexpr int SIZE = WIDTH / HEADS;                       // of a head
-constexpr int KEY = 0, VALUE = WIDTH, SCORE = 2 * WIDTH;  // rows of what a road point gives
-constexpr int GIVEN = 2 * WIDTH + SEEDS;
-
-inline Vector load(const float *from) { return *reinterpret_cast<const Unaligned *>(from); }
-inline void store(float *to, Vector v) { *reinterpret_cast<Unaligned *>(to) = v; }
-inline Vector larger(Vector a, Vector b) { return a > b ? a : b; }
-
-inline float sum(Vector v) {
-    float total = 0;
-    for (int i = 0; i < VECTOR; i++) total += v[i];
-    return total;
-}
-
-// e^x for -60 <= x <= 0, and e^-60 below: 2^n times a polynomial of the rest, relative error below 2e-7
-inline Vector exponential(Vector x) {
-    x = larger(x, Vector{} - 60.0f);
-    Integers exponent = __builtin_convertvector(x * 1.44269504f - 0.5f, Integers);  // rounds, as x <= 0
-    Vector n = __builtin_convertvector(exponent, Vector);
-    Vector f = x - n * 0.693359375f + n * 2.12194440e-4f;
-    Vector p = 1.9875691500e-4f * f + 1.3981999507e-3f;
-    p = p * f + 8.3334519073e-3f;
-    p = p * f + 4.1665795894e-2f;
-    p = p * f + 1.6666665459e-1f;
-    p = p * f + 5.0000001201e-1f;
-    p = p * f * f + f + 1.0f;
-    return reinterpret_cast<Vector>(reinterpret_cast<Integers>(p) + (exponent << 23));
-}
-
-// C[M][N] += A[M][K] B[K][N], where A(m, k) lies at a[m * AM + k * AK]: transposing A costs nothing
-template <int M, int K, int N, int AM, int AK>
-inline void multiply(const float *a, const float *b, float *c) {
-    constexpr int ROWS = M % 8 == 0 ? 8 : (M % 4 == 0 ? 4 : 1), COLUMNS = N % (2 * VECTOR) == 0 ? 2 : 1;
-    static_assert(N % VECTOR == 0, "whole vectors only");
-    for (int n = 0; n < N; n += COLUMNS * VECTOR)
-        for (int m = 0; m < M; m += ROWS) {
-            Vector total[ROWS][COLUMNS];
-#pragma GCC unroll 8
-            for (int i = 0; i < ROWS; i++)
-#pragma GCC unroll 2
-                for (int j = 0; j < COLUMNS; j++) total[i][j] = load(c + (m + i) * N + n + j * VECTOR);
-            for (int k = 0; k < K; k++) {
-                Vector row[COLUMNS];
-#pragma GCC unroll 2
-                for (int j = 0; j < COLUMNS; j++) row[j] = load(b + k * N + n + j * VECTOR);
-#pragma GCC unroll 8
-                for (int i = 0; i < ROWS; i++) {
-                    float factor = a[(m + i) * AM + k * AK];
-#pragma GCC unroll 2
-                    for (int j = 0; j < COLUMNS; j++) total[i][j] += factor * row[j];
-                }
-            }
-#pragma GCC unroll 8
-            for (int i = 0; i < ROWS; i++)
-#pragma GCC unroll 2
-                for (int j = 0; j < COLUMNS; j++) store(c + (m + i) * N + n + j * VECTOR, total[i][j]);
-        }
-}
-
-// one step of a transposition: blocks of S x S change places between rows i and i + S
-template <int S, int... J>
-inline void exchange(Vector &a, Vector &b, std::integer_sequence<int, J...>) {
-    Vector upper = __builtin_shufflevector(a, b, ((J & S) ? VECTOR + J - S : J)...);
-    b = __builtin_shufflevector(a, b, ((J & S) ? VECTOR + J : J + S)...);
-    a = upper;
-}
-
-template <int S>
-inline void exchange_rows(Vector *rows) {
-#pragma GCC unroll 16
-    for (int i = 0; i < VECTOR; i++)
-        if (!(i & S)) exchange<S>(rows[i], rows[i + S], std::make_integer_sequence<int, VECTOR>());
-}
-
-// B[N][WIDE] = A[M][N]^T, zeros beyond M
-template <int M, int N, int WIDE = M>
-inline void transpose(const float *a, float *b) {
-    for (int m = 0; m < WIDE; m += VECTOR)
-        for (int n = 0; n < N; n += VECTOR) {
-            Vector rows[VECTOR];
-#pragma GCC unroll 16
-            for (int i = 0; i < VECTOR; i++) rows[i] = m + i < M ? load(a + (m + i) * N + n) : Vector{};
-            exchange_rows<8>(rows), exchange_rows<4>(rows), exchange_rows<2>(rows), exchange_rows<1>(rows);
-#pragma GCC unroll 16
-            for (int i = 0; i < VECTOR; i++) store(b + (n + i) * WIDE + m, rows[i]);
-        }
-}
-
-template <int COUNT>
-inline void clear(float *a) { std::memset(a, 0, sizeof(float) * COUNT); }
-
-template <int COUNT>
-inline void rectify(const float *a, float *b) {
-    for (int i = 0; i < COUNT; i += VECTOR) store(b + i, larger(load(a + i), Vector{}));
-}
-
-template <int COUNT>
-inline void rectify_backward(const float *a, float *grad) {
-    for (int i = 0; i < COUNT; i += VECTOR) store(grad + i, load(a + i) > 0.0f ? load(grad + i) : Vector{});
-}
-
-// the FEATURES rows of x to mean 0 and variance 1, lane by lane; scale[L] is what they were multiplied by
-template <int FEATURES, int L>
-inline void normalise(const float *x, float *y, float *scale) {
-    for (int l = 0; l < L; l += VECTOR) {
-        Vector mean = {}, square = {};
-        for (int f = 0; f < FEATURES; f++) mean += load(x + f * L + l);
-        mean /= float(FEATURES);
-        for (int f = 0; f < FEATURES; f++) {
-            Vector centred = load(x + f * L + l) - mean;
-            square += centred * centred;
-        }
-        for (int i = 0; i < VECTOR; i++) scale[l + i] = 1.0f / __builtin_sqrtf(square[i] / FEATURES + 1e-5f);
-        for (int f = 0; f < FEATURES; f++) store(y + f * L + l, (load(x + f * L + l) - mean) * load(scale + l));
-    }
-}
-
-// gradient of y to that of x; ADD: to what is there already
-template <int FEATURES, int L, bool ADD>
-inline void normalise_backward(const float *y, const float *scale, const float *grad_y, float *grad_x) {
-    for (int l = 0; l < L; l += VECTOR) {
-        Vector mean = {}, along = {};
-        for (int f = 0; f < FEATURES; f++) {
-            mean += load(grad_y + f * L + l);
-            along += load(grad_y + f * L + l) * load(y + f * L + l);
-        }
-        mean /= float(FEATURES), along /= float(FEATURES);
-        for (int f = 0; f < FEATURES; f++) {
-            const int at = f * L + l;
-            Vector grad = (load(grad_y + at) - mean - load(y + at) * along) * load(scale + l);
-            store(grad_x + at, ADD ? load(grad_x + at) + grad : grad);
-        }
-    }
-}
-
-template <int O, int I>
-struct Linear {
-    static constexpr int COUNT = O * I + O;
-
-    template <int L>
-    static void forward(const float *weight, const float *x, float *y) {
-        for (int o = 0; o < O; o++)
-            for (int l = 0; l < L; l += VECTOR) store(y + o * L + l, Vector{} + weight[O * I + o]);
-        multiply<O, I, L, I, 1>(weight, x, y);
-    }
-
-    template <int L>
-    static void backward(const float *x, const float *grad_y, float *grad_weight) {
-        constexpr int WHOLE = (I + VECTOR - 1) / VECTOR * VECTOR;
-        alignas(64) float turned[L * WHOLE], grad[O * WHOLE];
-        transpose<I, L, WHOLE>(x, turned);
-        if constexpr (WHOLE == I) {
-            multiply<O, L, I, L, 1>(grad_y, turned, grad_weight);
-        } else {
-            clear<O * WHOLE>(grad);
-            multiply<O, L, WHOLE, L, 1>(grad_y, turned, grad);
-            for (int o = 0; o < O; o++)
-                for (int i = 0; i < I; i++) grad_weight[o * I + i] += grad[o * WHOLE + i];
-        }
-        for (int o = 0; o < O; o++) {
-            Vector total = {};
-            for (int l = 0; l < L; l += VECTOR) total += load(grad_y + o * L + l);
-            grad_weight[O * I + o] += sum(total);
-        }
-    }
-
-    template <int L>
-    static void backward_input(const float *weight, const float *grad_y, float *grad_x) {  // adds
-        multiply<I, O, L, 1, I>(weight, grad_y, grad_x);
-    }
+// what agents see: partner [count][features][partners], road [count][features][points], masks one byte an element
+struct Seen {
+    const float *partner;
+    const uint8_t *partner_mask;
+    const float *road;
+    const uint8_t *road_mask;
 };
 
-using Partner1 = Linear<HIDDEN, PARTNER_FEATURES>;
-using Partner2 = Linear<WIDTH, HIDDEN>;
-using Road1 = Linear<HIDDEN, ROAD_FEATURES>;
-using Road2 = Linear<GIVEN, HIDDEN>;
-using Query = Linear<WIDTH, WIDTH>;
-using Out = Linear<WIDTH, WIDTH>;
-using Feed1 = Linear<FEEDFORWARD, WIDTH>;
-using Feed2 = Linear<WIDTH, FEEDFORWARD>;
-using Score = Linear<SEEDS, WIDTH>;
-
-constexpr int PARTNER1 = 0, PARTNER2 = PARTNER1 + Partner1::COUNT, ROAD1 = PARTNER2 + Partner2::COUNT,
-              ROAD2 = ROAD1 + Road1::COUNT, QUERY = ROAD2 + Road2::COUNT, OUT = QUERY + Query::COUNT,
-              FEED1 = OUT + Out::COUNT, FEED2 = FEED1 + Feed1::COUNT, SCORES = FEED2 + Feed2::COUNT,
-              WEIGHTS = SCORES + Score::COUNT;
-
-// rows of scores to weights e^s / (1 + sum e^s) over the L lanes where mask holds
-template <int L>
-inline void pool_weights(float *score, const uint8_t *mask) {
+// rows of scores to weights e^s / (1 + sum e^s) over the L lanes that are live
+template <int L, int STRIDE>
+inline void pool_weights(float *score, const float *live) {
     for (int s = 0; s < SEEDS; s++) {
-        float *row = score + s * L;
-        float most = 0, total = 0;
-        for (int l = 0; l < L; l++)
-            if (mask[l] && row[l] > most) most = row[l];
-        for (int l = 0; l < L; l += VECTOR) store(row + l, exponential(load(row + l) - most));
-        for (int l = 0; l < L; l++) {
-            row[l] = mask[l] ? row[l] : 0.0f;
-            total += row[l];
+        float *row = score + s * STRIDE;
+        Vector lanes = {}, sums = {};
+        for (int l = 0; l < L; l += VECTOR) lanes = larger(lanes, load(row + l) * load(live + l));
+        const Vector most = Vector{} + largest(lanes);
+        for (int l = 0; l < L; l += VECTOR) {
+            Vector e = exponential(smaller(load(row + l), most) - most) * load(live + l);
+            store(row + l, e);
+            sums += e;
         }
-        float scale = 1.0f / (total + exponential(Vector{} - most)[0]);
+        const Vector scale = 1.0f / (sum(sums) + exponential(-most));
         for (int l = 0; l < L; l += VECTOR) store(row + l, load(row + l) * scale);
     }
 }
 
 // pooled[S][WIDTH] = weight[S][L] values[WIDTH][L]^T
-template <int L>
+template <int L, int STRIDE>
 inline void pool(const float *weight, const float *values, float *pooled) {
-    alignas(64) float turned[L * WIDTH];
-    transpose<WIDTH, L>(values, turned);
-    clear<SEEDS * WIDTH>(pooled);
-    multiply<SEEDS, L, WIDTH, L, 1>(weight, turned, pooled);
+    alignas(64) float result[whole(SEEDS) * WIDTH];
+    multiply_turned<FROM_ZERO, SEEDS, L, WIDTH, STRIDE, STRIDE>(weight, values, result);
+    std::memcpy(pooled, result, sizeof(float) * SEEDS * WIDTH);
 }
 
 // gradients of scores and values (added) from that of pooled
-template <int L>
+template <int L, int STRIDE>
 inline void pool_backward(const float *weight, const float *values, const float *grad_pooled, float *grad_score,
                           float *grad_values) {
-    clear<SEEDS * L>(grad_score);
-    multiply<SEEDS, WIDTH, L, WIDTH, 1>(grad_pooled, values, grad_score);
-    multiply<WIDTH, SEEDS, L, 1, WIDTH>(grad_pooled, weight, grad_values);
+    multiply<FROM_ZERO, SEEDS, WIDTH, L, WIDTH, 1, STRIDE, STRIDE>(grad_pooled, values, grad_score);
+    multiply<FROM_C, WIDTH, SEEDS, L, 1, WIDTH, STRIDE, STRIDE>(grad_pooled, weight, grad_values);
     for (int s = 0; s < SEEDS; s++) {
-        Vector total = {};
-        for (int l = 0; l < L; l += VECTOR) total += load(weight + s * L + l) * load(grad_score + s * L + l);
-        float mean = sum(total);
-        for (int l = 0; l < L; l += VECTOR)
-            store(grad_score + s * L + l, load(weight + s * L + l) * (load(grad_score + s * L + l) - mean));
+        const float *w = weight + s * STRIDE;
+        float *grad = grad_score + s * STRIDE;
+        Vector sums = {};
+        for (int l = 0; l < L; l += VECTOR) sums += load(w + l) * load(grad + l);
+        const float mean = sum(sums);
+        for (int l = 0; l < L; l += VECTOR) store(grad + l, load(w + l) * (load(grad + l) - mean));
     }
 }
 
-struct Agent {
-    alignas(64) float road_normal[HIDDEN * POINTS], road_scale[POINTS];
-    alignas(64) float road_hidden[HIDDEN * POINTS];
-    alignas(64) float road[GIVEN * POINTS];  // keys, values, pooling weights
-    alignas(64) float partner_normal[HIDDEN * PARTNERS], partner_scale[PARTNERS];
-    alignas(64) float partner_hidden[HIDDEN * PARTNERS];
-    alignas(64) float partner[WIDTH * PARTNERS];
-    alignas(64) float query[WIDTH * PARTNERS];
-    alignas(64) float attention[HEADS * POINTS * PARTNERS];
-    alignas(64) float attended[WIDTH * PARTNERS];
-    alignas(64) float informed[WIDTH * PARTNERS];
-    alignas(64) float informed_normal[WIDTH * PARTNERS], informed_scale[PARTNERS];
-    alignas(64) float feed[FEEDFORWARD * PARTNERS];
-    alignas(64) float fused[WIDTH * PARTNERS];
-    alignas(64) float fused_normal[WIDTH * PARTNERS], fused_scale[PARTNERS];
-    alignas(64) float weight[SEEDS * PARTNERS];
+// rows of L numbers of one agent to rows of all AGENTS
+template <int ROWS, int L>
+inline void place(const float *from, float *to) {
+    for (int row = 0; row < ROWS; row++) std::memcpy(to + row * AGENTS * L, from + row * L, sizeof(float) * L);
+}
 
-    void attend(const uint8_t *road_mask) {
-        const float scale = 1.0f / __builtin_sqrtf(SIZE);
-        clear<WIDTH * PARTNERS>(attended);
-        clear<HEADS * POINTS * PARTNERS>(attention);
-        for (int h = 0; h < HEADS; h++) {
-            float *p = attention + h * POINTS * PARTNERS;
-            const int rows = h * SIZE;
-            multiply<POINTS, SIZE, PARTNERS, 1, POINTS>(road + (KEY + rows) * POINTS, query + rows * PARTNERS, p);
-            for (int l = 0; l < PARTNERS; l += VECTOR) {
-                Vector most = {}, total;
-                for (int r = 0; r < POINTS; r++)
-                    if (road_mask[r]) most = larger(most, load(p + r * PARTNERS + l));
-                total = exponential(-most * scale);
-                for (int r = 0; r < POINTS; r++) {
-                    Vector e = {};
-                    if (road_mask[r]) e = exponential((load(p + r * PARTNERS + l) - most) * scale);
-                    store(p + r * PARTNERS + l, e);
-                    total += e;
-                }
-                for (int r = 0; r < POINTS; r++) store(p + r * PARTNERS + l, load(p + r * PARTNERS + l) / total);
-            }
-            multiply<SIZE, POINTS, PARTNERS, POINTS, 1>(road + (VALUE + rows) * POINTS, p, attended + rows * PARTNERS);
+struct Agents {
+    alignas(64) float seen_partner[PARTNER_FEATURES * OTHERS], partner_live[OTHERS];
+    alignas(64) float seen_road[ROAD_FEATURES * ROADS], road_live[ROADS];
+    alignas(64) float road_normal[HIDDEN * ROADS], road_scale[ROADS];
+    alignas(64) float road_hidden[HIDDEN * ROADS];
+    alignas(64) float road[whole(GIVEN) * ROADS];  // keys, values, pooling weights
+    alignas(64) float partner_normal[HIDDEN * OTHERS], partner_scale[OTHERS];
+    alignas(64) float partner_hidden[HIDDEN * OTHERS];
+    alignas(64) float partner[WIDTH * OTHERS];
+    alignas(64) float query[WIDTH * OTHERS];
+    alignas(64) float attention[AGENTS * HEADS * POINTS * PARTNERS];
+    alignas(64) float attended[WIDTH * OTHERS];
+    alignas(64) float informed[WIDTH * OTHERS];
+    alignas(64) float informed_normal[WIDTH * OTHERS], informed_scale[OTHERS];
+    alignas(64) float feed[FEEDFORWARD * OTHERS];
+    alignas(64) float fused[WIDTH * OTHERS];
+    alignas(64) float fused_normal[WIDTH * OTHERS], fused_scale[OTHERS];
+    alignas(64) float weight[whole(SEEDS) * OTHERS];
+
+    // the agents from ``first`` on, ``count`` of them; the others see nothing
+    void look(const Seen &seen, int64_t first, int count) {
+        if (count < AGENTS) {
+            clear<PARTNER_FEATURES * OTHERS>(seen_partner), clear<OTHERS>(partner_live);
+            clear<ROAD_FEATURES * ROADS>(seen_road), clear<ROADS>(road_live);
+        }
+        for (int a = 0; a < count; a++) {
+            const int64_t i = first + a;
+            place<PARTNER_FEATURES, PARTNERS>(seen.partner + i * PARTNER_STRIDE, seen_partner + a * PARTNERS);
+            place<ROAD_FEATURES, POINTS>(seen.road + i * ROAD_STRIDE, seen_road + a * POINTS);
+            for (int l = 0; l < PARTNERS; l++) partner_live[a * PARTNERS + l] = seen.partner_mask[i * PARTNERS + l];
+            for (int l = 0; l < POINTS; l++) road_live[a * POINTS + l] = seen.road_mask[i * POINTS + l];
         }
     }
 
-    void forward(const float *w, const float *partners, const uint8_t *partner_mask, const float *points,
-                 const uint8_t *road_mask, float *pooled) {
-        Road1::forward<POINTS>(w + ROAD1, points, road_hidden);
-        normalise<HIDDEN, POINTS>(road_hidden, road_normal, road_scale);
-        rectify<HIDDEN * POINTS>(road_normal, road_hidden);
-        Road2::forward<POINTS>(w + ROAD2, road_hidden, road);
-        Partner1::forward<PARTNERS>(w + PARTNER1, partners, partner_hidden);
-        normalise<HIDDEN, PARTNERS>(partner_hidden, partner_normal, partner_scale);
-        rectify<HIDDEN * PARTNERS>(partner_normal, partner_hidden);
-        Partner2::forward<PARTNERS>(w + PARTNER2, partner_hidden, partner);
-        Query::forward<PARTNERS>(w + QUERY, partner, query);
-        attend(road_mask);
-        Out::forward<PARTNERS>(w + OUT, attended, informed);
-        for (int i = 0; i < WIDTH * PARTNERS; i++) informed[i] += partner[i];
-        normalise<WIDTH, PARTNERS>(informed, informed_normal, informed_scale);
-        Feed1::forward<PARTNERS>(w + FEED1, informed_normal, feed);
-        rectify<FEEDFORWARD * PARTNERS>(feed, feed);
-        Feed2::forward<PARTNERS>(w + FEED2, feed, fused);
-        for (int i = 0; i < WIDTH * PARTNERS; i++) fused[i] += informed[i];
-        normalise<WIDTH, PARTNERS>(fused, fused_normal, fused_scale);
-        Score::forward<PARTNERS>(w + SCORES, fused_normal, weight);
-        pool_weights<PARTNERS>(weight, partner_mask);
-        pool<PARTNERS>(weight, fused, pooled);
-        pool_weights<POINTS>(road + SCORE * POINTS, road_mask);
-        pool<POINTS>(road + SCORE * POINTS, road + VALUE * POINTS, pooled + SEEDS * WIDTH);
+    void attend() {
+        const float scale = 1.0f / __builtin_sqrtf(SIZE);
+        for (int a = 0; a < AGENTS; a++)
+            for (int h = 0; h < HEADS; h++) {
+                float *p = attention + (a * HEADS + h) * POINTS * PARTNERS;
+                const float *live = road_live + a * POINTS;
+                const float *keys = road + (KEY + h * SIZE) * ROADS + a * POINTS, *values = keys + (VALUE - KEY) * ROADS;
+                const int at = h * SIZE * OTHERS + a * PARTNERS;
+                multiply<FROM_ZERO, POINTS, SIZE, PARTNERS, 1, ROADS, OTHERS, PARTNERS>(keys, query + at, p);
+                for (int l = 0; l < PARTNERS; l += VECTOR) {
+                    Vector most = {};
+                    for (int r = 0; r < POINTS; r++) most = larger(most, load(p + r * PARTNERS + l) * live[r]);
+                    Vector sums = exponential(-most * scale) + total<POINTS>([&](int r) {
+                        float *at = p + r * PARTNERS + l;
+                        Vector e = exponential((smaller(load(at), most) - most) * scale) * live[r];
+                        store(at, e);
+                        return e;
+                    });
+                    sums = 1.0f / sums;
+                    for (int r = 0; r < POINTS; r++) store(p + r * PARTNERS + l, load(p + r * PARTNERS + l) * sums);
+                }
+                multiply<FROM_ZERO, SIZE, POINTS, PARTNERS, ROADS, 1, PARTNERS, OTHERS>(values, p, attended + at);
+            }
     }
 
-    // gradient of the queries, and of keys and values into grad_road
+    void forward(const Network &net) {
+        net.road_in.forward<ROADS>(seen_road, road_hidden);
+        normalise<HIDDEN, ROADS>(road_hidden, road_normal, road_scale);
+        rectify<HIDDEN * ROADS>(road_normal, road_hidden);
+        net.road_out.forward<ROADS>(road_hidden, road);
+        net.partner_in.forward<OTHERS>(seen_partner, partner_hidden);
+        normalise<HIDDEN, OTHERS>(partner_hidden, partner_normal, partner_scale);
+        rectify<HIDDEN * OTHERS>(partner_normal, partner_hidden);
+        net.partner_out.forward<OTHERS>(partner_hidden, partner);
+        net.query.forward<OTHERS>(partner, query);
+        attend();
+        net.attended.forward<OTHERS>(attended, informed);
+        add<WIDTH * OTHERS>(partner, informed);
+        normalise<WIDTH, OTHERS>(informed, informed_normal, informed_scale);
+        net.feed_in.forward<OTHERS>(informed_normal, feed);
+        rectify<FEEDFORWARD * OTHERS>(feed, feed);
+        net.feed_out.forward<OTHERS>(feed, fused);
+        add<WIDTH * OTHERS>(informed, fused);
+        normalise<WIDTH, OTHERS>(fused, fused_normal, fused_scale);
+        net.score.forward<OTHERS>(fused_normal, weight);
+        for (int a = 0; a < AGENTS; a++) {
+            pool_weights<PARTNERS, OTHERS>(weight + a * PARTNERS, partner_live + a * PARTNERS);
+            pool_weights<POINTS, ROADS>(road + SCORE * ROADS + a * POINTS, road_live + a * POINTS);
+        }
+    }
+
+    // pooled [count][2][seeds][width]
+    void pool_sets(int count, float *pooled) const {
+        for (int a = 0; a < count; a++, pooled += POOLED_STRIDE) {
+            const float *points = road + a * POINTS;
+            pool<PARTNERS, OTHERS>(weight + a * PARTNERS, fused + a * PARTNERS, pooled);
+            pool<POINTS, ROADS>(points + SCORE * ROADS, points + VALUE * ROADS, pooled + SEEDS * WIDTH);
+        }
+    }
+
+    // gradient of the queries, and of keys and values (added) into grad_road
     void attend_backward(const float *grad_attended, float *grad_query, float *grad_road) const {
-        alignas(64) float grad[POINTS * PARTNERS], turned[PARTNERS * POINTS];
+        alignas(64) float grad[POINTS * PARTNERS];
         const float scale = 1.0f / __builtin_sqrtf(SIZE);
-        clear<WIDTH * PARTNERS>(grad_query);
-        for (int h = 0; h < HEADS; h++) {
-            const float *p = attention + h * POINTS * PARTNERS;
-            const int rows = h * SIZE;
-            const float *grad_out = grad_attended + rows * PARTNERS;
-            transpose<POINTS, PARTNERS>(p, turned);
-            multiply<SIZE, PARTNERS, POINTS, PARTNERS, 1>(grad_out, turned, grad_road + (VALUE + rows) * POINTS);
-            clear<POINTS * PARTNERS>(grad);
-            multiply<POINTS, SIZE, PARTNERS, 1, POINTS>(road + (VALUE + rows) * POINTS, grad_out, grad);
-            for (int l = 0; l < PARTNERS; l += VECTOR) {
-                Vector mean = {};
-                for (int r = 0; r < POINTS; r++)
-                    mean += load(p + r * PARTNERS + l) * load(grad + r * PARTNERS + l);
-                for (int r = 0; r < POINTS; r++) {
-                    const int at = r * PARTNERS + l;
-                    store(grad + at, load(p + at) * (load(grad + at) - mean) * scale);
+        for (int a = 0; a < AGENTS; a++)
+            for (int h = 0; h < HEADS; h++) {
+                const float *p = attention + (a * HEADS + h) * POINTS * PARTNERS;
+                const int keys = (KEY + h * SIZE) * ROADS + a * POINTS, values = keys + (VALUE - KEY) * ROADS;
+                const int at = h * SIZE * OTHERS + a * PARTNERS;
+                const float *grad_out = grad_attended + at;
+                multiply_turned<FROM_C, SIZE, PARTNERS, POINTS, OTHERS, PARTNERS, ROADS>(grad_out, p, grad_road + values);
+                multiply<FROM_ZERO, POINTS, SIZE, PARTNERS, 1, ROADS, OTHERS, PARTNERS>(road + values, grad_out, grad);
+                for (int l = 0; l < PARTNERS; l += VECTOR) {
+                    const Vector mean = total<POINTS>(
+                        [&](int r) { return load(p + r * PARTNERS + l) * load(grad + r * PARTNERS + l); });
+                    for (int r = 0; r < POINTS; r++) {
+                        const int to = r * PARTNERS + l;
+                        store(grad + to, load(p + to) * (load(grad + to) - mean) * scale);
+                    }
                 }
+                multiply<FROM_ZERO, SIZE, POINTS, PARTNERS, ROADS, 1, PARTNERS, OTHERS>(road + keys, grad, grad_query + at);
+                multiply_turned<FROM_C, SIZE, PARTNERS, POINTS, OTHERS, PARTNERS, ROADS>(query + at, grad, grad_road + keys);
             }
-            multiply<SIZE, POINTS, PARTNERS, POINTS, 1>(road + (KEY + rows) * POINTS, grad, grad_query + rows * PARTNERS);
-            transpose<POINTS, PARTNERS>(grad, turned);
-            multiply<SIZE, PARTNERS, POINTS, PARTNERS, 1>(query + rows * PARTNERS, turned, grad_road + (KEY + rows) * POINTS);
-        }
     }
 
-    void backward(const float *w, const float *partners, const float *points, const float *grad_pooled,
-                  float *grad) const {
-        alignas(64) float grad_road[GIVEN * POINTS], grad_hidden[HIDDEN * POINTS], grad_feed[FEEDFORWARD * PARTNERS];
-        alignas(64) float grad_fused[WIDTH * PARTNERS], grad_score[SEEDS * PARTNERS], grad_query[WIDTH * PARTNERS];
-        alignas(64) float grad_attended[WIDTH * PARTNERS], grad_normal[WIDTH * PARTNERS];
-        clear<GIVEN * POINTS>(grad_road);
-        pool_backward<POINTS>(road + SCORE * POINTS, road + VALUE * POINTS, grad_pooled + SEEDS * WIDTH,
-                              grad_road + SCORE * POINTS, grad_road + VALUE * POINTS);
-        clear<WIDTH * PARTNERS>(grad_fused);
-        pool_backward<PARTNERS>(weight, fused, grad_pooled, grad_score, grad_fused);
-        Score::backward<PARTNERS>(fused_normal, grad_score, grad + SCORES);
-        clear<WIDTH * PARTNERS>(grad_normal);
-        Score::backward_input<PARTNERS>(w + SCORES, grad_score, grad_normal);
-        normalise_backward<WIDTH, PARTNERS, true>(fused_normal, fused_scale, grad_normal, grad_fused);
-        Feed2::backward<PARTNERS>(feed, grad_fused, grad + FEED2);
-        clear<FEEDFORWARD * PARTNERS>(grad_feed);
-        Feed2::backward_input<PARTNERS>(w + FEED2, grad_fused, grad_feed);
-        rectify_backward<FEEDFORWARD * PARTNERS>(feed, grad_feed);
-        Feed1::backward<PARTNERS>(informed_normal, grad_feed, grad + FEED1);
-        clear<WIDTH * PARTNERS>(grad_normal);
-        Feed1::backward_input<PARTNERS>(w + FEED1, grad_feed, grad_normal);
+    // adds to the sums; gradients of pooled [count][2][seeds][width]
+    void backward(const Network &net, int count, const float *grad_pooled, Gradients &sums) const {
+        alignas(64) float grad_road[whole(GIVEN) * ROADS] = {}, grad_fused[WIDTH * OTHERS] = {};
+        alignas(64) float grad_score[whole(SEEDS) * OTHERS] = {}, grad_query[WIDTH * OTHERS], grad_normal[WIDTH * OTHERS];
+        alignas(64) float grad_hidden[HIDDEN * ROADS], grad_feed[FEEDFORWARD * OTHERS], grad_attended[WIDTH * OTHERS];
+        for (int a = 0; a < count; a++, grad_pooled += POOLED_STRIDE) {
+            const int points = a * POINTS, others = a * PARTNERS;
+            pool_backward<POINTS, ROADS>(road + SCORE * ROADS + points, road + VALUE * ROADS + points,
+                                         grad_pooled + SEEDS * WIDTH, grad_road + SCORE * ROADS + points,
+                                         grad_road + VALUE * ROADS + points);
+            pool_backward<PARTNERS, OTHERS>(weight + others, fused + others, grad_pooled, grad_score + others,
+                                            grad_fused + others);
+        }
+        sums.score.add<OTHERS>(fused_normal, grad_score);
+        net.score.backward_input<OTHERS>(grad_score, grad_normal);
+        normalise_backward<WIDTH, OTHERS, true>(fused_normal, fused_scale, grad_normal, grad_fused);
+        sums.feed_out.add<OTHERS>(feed, grad_fused);
+        net.feed_out.backward_input<OTHERS>(grad_fused, grad_feed);
+        rectify_backward<FEEDFORWARD * OTHERS>(feed, grad_feed);
+        sums.feed_in.add<OTHERS>(informed_normal, grad_feed);
+        net.feed_in.backward_input<OTHERS>(grad_feed, grad_normal);
         // from here on grad_fused is the gradient of informed
-        normalise_backward<WIDTH, PARTNERS, true>(informed_normal, informed_scale, grad_normal, grad_fused);
-        Out::backward<PARTNERS>(attended, grad_fused, grad + OUT);
-        clear<WIDTH * PARTNERS>(grad_attended);
-        Out::backward_input<PARTNERS>(w + OUT, grad_fused, grad_attended);
+        normalise_backward<WIDTH, OTHERS, true>(informed_normal, informed_scale, grad_normal, grad_fused);
+        sums.attended.add<OTHERS>(attended, grad_fused);
+        net.attended.backward_input<OTHERS>(grad_fused, grad_attended);
         attend_backward(grad_attended, grad_query, grad_road);
-        Query::backward<PARTNERS>(partner, grad_query, grad + QUERY);
-        Query::backward_input<PARTNERS>(w + QUERY, grad_query, grad_fused);  // now that of partner
-        Partner2::backward<PARTNERS>(partner_hidden, grad_fused, grad + PARTNER2);
-        clear<HIDDEN * PARTNERS>(grad_hidden);
-        Partner2::backward_input<PARTNERS>(w + PARTNER2, grad_fused, grad_hidden);
-        rectify_backward<HIDDEN * PARTNERS>(partner_hidden, grad_hidden);
-        normalise_backward<HIDDEN, PARTNERS, false>(partner_normal, partner_scale, grad_hidden, grad_hidden);
-        Partner1::backward<PARTNERS>(partners, grad_hidden, grad + PARTNER1);
-        Road2::backward<POINTS>(road_hidden, grad_road, grad + ROAD2);
-        clear<HIDDEN * POINTS>(grad_hidden);
-        Road2::backward_input<POINTS>(w + ROAD2, grad_road, grad_hidden);
-        rectify_backward<HIDDEN * POINTS>(road_hidden, grad_hidden);
-        normalise_backward<HIDDEN, POINTS, false>(road_normal, road_scale, grad_hidden, grad_hidden);
-        Road1::backward<POINTS>(points, grad_hidden, grad + ROAD1);
+        sums.query.add<OTHERS>(partner, grad_query);
+        net.query.backward_input<OTHERS, FROM_C>(grad_query, grad_fused);  // now that of partner
+        sums.partner_out.add<OTHERS>(partner_hidden, grad_fused);
+        net.partner_out.backward_input<OTHERS>(grad_fused, grad_hidden);
+        rectify_backward<HIDDEN * OTHERS>(partner_hidden, grad_hidden);
+        normalise_backward<HIDDEN, OTHERS, false>(partner_normal, partner_scale, grad_hidden, grad_hidden);
+        sums.partner_in.add<OTHERS>(seen_partner, grad_hidden);
+        sums.road_out.add<ROADS>(road_hidden, grad_road);
+        net.road_out.backward_input<ROADS>(grad_road, grad_hidden);
+        rectify_backward<HIDDEN * ROADS>(road_hidden, grad_hidden);
+        normalise_backward<HIDDEN, ROADS, false>(road_normal, road_scale, grad_hidden, grad_hidden);
+        sums.road_in.add<ROADS>(seen_road, grad_hidden);
     }
 };
 
-constexpr int PARTNER_STRIDE = PARTNER_FEATURES * PARTNERS, ROAD_STRIDE = ROAD_FEATURES * POINTS,
-              POOLED_STRIDE = 2 * SEEDS * WIDTH;
-
 }  // namespace
 
+extern "C" bool is_ready() { return ready(); }  // false: this processor cannot do it
 extern "C" int weight_count() { return WEIGHTS; }
 extern "C" int pooled_count() { return POOLED_STRIDE; }
 
-// partner [count][features][partners], masks one byte an element, pooled [count][2][seeds][width]
 extern "C" void forward(int64_t count, int threads, const float *weights, const float *partner,
                         const uint8_t *partner_mask, const float *road, const uint8_t *road_mask, float *pooled) {
+    const Network net(weights);
+    const Seen seen{partner, partner_mask, road, road_mask};
 #pragma omp parallel num_threads(threads)
     {
-        Agent agent;
+        Products products;
+        Agents agents;
 #pragma omp for
-        for (int64_t i = 0; i < count; i++)
-            agent.forward(weights, partner + i * PARTNER_STRIDE, partner_mask + i * PARTNERS, road + i * ROAD_STRIDE,
-                          road_mask + i * POINTS, pooled + i * POOLED_STRIDE);
+        for (int64_t i = 0; i < count; i += AGENTS) {
+            const int some = count - i < AGENTS ? count - i : AGENTS;
+            agents.look(seen, i, some);
+            agents.forward(net);
+            agents.pool_sets(some, pooled + i * POOLED_STRIDE);
+        }
     }
 }
 
-// adds to grad [threads][weight_count()]; even parts of the agents, so that a number of threads fixes the result
+// grad [threads][weight_count()]; even parts of the agents, so that a number of threads fixes the result
 extern "C" void backward(int64_t count, int threads, const float *weights, const float *partner,
                          const uint8_t *partner_mask, const float *road, const uint8_t *road_mask,
                          const float *grad_pooled, float *grad) {
+    const Network net(weights);
+    const Seen seen{partner, partner_mask, road, road_mask};
 #pragma omp parallel for num_threads(threads)
     for (int thread = 0; thread < threads; thread++) {
-        Agent agent;
-        alignas(64) float pooled[POOLED_STRIDE];
-        for (int64_t i = count * thread / threads; i < count * (thread + 1) / threads; i++) {
-            const float *partners = partner + i * PARTNER_STRIDE, *points = road + i * ROAD_STRIDE;
-            agent.forward(weights, partners, partner_mask + i * PARTNERS, points, road_mask + i * POINTS, pooled);
-            agent.backward(weights, partners, points, grad_pooled + i * POOLED_STRIDE, grad + thread * WEIGHTS);
+        Products products;
+        Agents agents;
+        Gradients sums;
+        const int64_t end = count * (thread + 1) / threads;
+        for (int64_t i = count * thread / threads; i < end; i += AGENTS) {
+            const int some = end - i < AGENTS ? end - i : AGENTS;
+            agents.look(seen, i, some);
+            agents.forward(net);
+            agents.backward(net, some, grad_pooled + i * POOLED_STRIDE, sums);
         }
+        float *to = grad + thread * WEIGHTS;
+        sums.each([&](auto &layer) { to = layer.give(to); });
     }
 }

@@ -56,6 +56,37 @@ def test_results_and_gradients_are_those_of_torch(config: NetworkConfig, threads
 
 
 @compiled
+@pytest.mark.skipif(not native.TILES, reason="no tiles for bf16 here")
+@pytest.mark.parametrize("config", SIZES)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_products_in_bf16_are_off_by_their_rounding(config: NetworkConfig, threads: int):
+    net, before = encoder(config), torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        with torch.autocast("cpu", torch.bfloat16):
+            ours, theirs = net(seen()), net.reference(seen()).float()
+        right = net.reference(seen())
+        mine, exact = gradients(net, ours), gradients(net, right)
+        off, allowed = (ours - right).norm(), (theirs - right).norm()
+        assert 0.01 * allowed < off < allowed  # rounded, but less often than torch does
+        rounding = [(g - e).norm() / e.norm() for g, e in zip(gradients(net, theirs), exact, strict=True)]
+        for gradient, e, r in zip(mine, exact, rounding, strict=True):
+            assert (gradient - e).norm() / e.norm() < max(2.0 * float(r), 0.02)
+    finally:
+        torch.set_num_threads(before)
+
+
+@compiled
+@pytest.mark.skipif(not native.TILES, reason="no tiles for bf16 here")
+def test_what_an_agent_gives_does_not_depend_on_the_others():
+    net = encoder(SIZES[0])
+    with torch.no_grad(), torch.autocast("cpu", torch.bfloat16):
+        together = net(seen())
+        alone = torch.cat([net(seen().map(lambda t, i=i: t[i : i + 1])) for i in range(5)])
+    assert torch.equal(together[:5], alone)
+
+
+@compiled
 def test_large_scores_do_not_overflow():
     """Scores of some thousands, where e^s is none of the floats and one element takes all the weight."""
     net = encoder(SIZES[0])
