@@ -22,8 +22,8 @@ class SceneEncoder(nn.Module):
     constants, so seed times key projection is one linear map from element to scores, and the map of pooled
     values that would follow is left to the trunk, which begins with one.
 
-    On a CPU with a C++ compiler `scene_encoder.cpp` does the same several times faster. Under autocast to bf16
-    its matrix products are in bf16 too, where the processor has tiles for them.
+    On a CPU with a C++ compiler `scene_encoder.cpp` does the same several times faster. Under autocast to
+    bf16 its matrix products are in bf16 too, where the processor has tiles for them.
     """
 
     def __init__(self, config: NetworkConfig) -> None:
