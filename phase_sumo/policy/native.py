@@ -1,4 +1,4 @@
-"""Compiles `scene_encoder.cpp` for this machine and a network's sizes, and makes it a torch function."""
+"""Compiles the network's C++ for this machine and a network's sizes, and makes torch functions of it."""
 
 from __future__ import annotations
 
@@ -21,8 +21,7 @@ from phase_sumo.config import NetworkConfig
 from phase_sumo.sim.compiler import cpp_compiler
 from phase_sumo.sim.observation import PARTNER, ROAD, Observation
 
-SOURCE = Path(__file__).with_name("scene_encoder.cpp")
-HEADERS = ("vectors.h", "products_fp32.h", "products_bf16.h", "layers.h")
+HERE = Path(__file__).parent
 # -ffast-math but for its change of rounding in the whole process that loads the library
 FAST = [
     *("-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros"),
@@ -36,12 +35,33 @@ _CAPABILITIES = getattr(torch.cpu, "get_capabilities", dict)()
 TILES = sys.platform == "linux" and all(_CAPABILITIES.get(name) for name in ("amx_bf16", "avx512_bf16"))
 
 
-class Kernel:
-    """`SceneEncoder.forward` for fixed sizes; its result can be differentiated by the weights."""
+def autocasts_to_bf16() -> bool:
+    """Whether torch works out matrix products on the CPU in bf16 just now."""
+    return torch.is_autocast_enabled("cpu") and torch.get_autocast_dtype("cpu") == torch.bfloat16
 
-    def __init__(self, library: Path) -> None:
-        self.library = ctypes.CDLL(str(library))
-        self.weight_count, self.pooled_count = self.library.weight_count(), self.library.pooled_count()
+
+class Library:
+    """Compiled functions on tensors of agents; as many threads as torch has."""
+
+    def __init__(self, file: Path) -> None:
+        self.library = ctypes.CDLL(str(file))
+        self.weight_count = int(self.library.weight_count())
+
+    def call(self, name: str, count: int, *arguments: Tensor | ctypes.Array) -> None:
+        """Call a function for ``count`` agents."""
+        pointers = (
+            ctypes.c_void_p(a.data_ptr()) if isinstance(a, Tensor) else ctypes.cast(a, ctypes.c_void_p)
+            for a in arguments
+        )
+        self.library[name](ctypes.c_int64(count), torch.get_num_threads(), *pointers)
+
+    def gradient(self) -> Tensor:
+        """Memory for the gradient of the weights, of each thread."""
+        return torch.empty(torch.get_num_threads(), self.weight_count)
+
+
+class Kernel(Library):
+    """`SceneEncoder.forward` for fixed sizes; its result can be differentiated by the weights."""
 
     def __call__(self, observation: Observation, weights: list[Tensor]) -> Tensor:
         return _Encode.apply(self, *self.inputs(observation), *weights)
@@ -58,20 +78,15 @@ class Kernel:
 
     def forward(self, weights: Tensor, inputs: tuple[Tensor, ...]) -> Tensor:
         """Pooled sets [B, pooled_count]."""
-        pooled = torch.empty(len(inputs[0]), self.pooled_count)
-        self._call(self.library.forward, weights, *inputs, pooled)
+        pooled = torch.empty(len(inputs[0]), self.library.pooled_count())
+        self.call("forward", len(pooled), weights, *inputs, pooled)
         return pooled
 
     def backward(self, weights: Tensor, inputs: tuple[Tensor, ...], grad: Tensor) -> Tensor:
         """Gradient of the weights [weight_count] for that of the result."""
-        grad_weights = torch.empty(torch.get_num_threads(), self.weight_count)
-        self._call(self.library.backward, weights, *inputs, grad.float().contiguous(), grad_weights)
+        grad_weights = self.gradient()
+        self.call("backward", len(grad), weights, *inputs, grad.float().contiguous(), grad_weights)
         return grad_weights.sum(0)
-
-    @staticmethod
-    def _call(function: Any, weights: Tensor, *tensors: Tensor) -> None:
-        count, threads = ctypes.c_int64(len(tensors[0])), torch.get_num_threads()
-        function(count, threads, *(ctypes.c_void_p(t.data_ptr()) for t in (weights, *tensors)))
 
 
 class _Encode(torch.autograd.Function):
@@ -103,8 +118,7 @@ def load_kernel(config: NetworkConfig, partners: int, points: int, bf16: bool = 
         vectors.
     """
     whole = (partners, points, config.width, config.hidden, config.feedforward)
-    compiler = cpp_compiler()
-    if compiler is None or any(size % VECTOR for size in whole) or config.width % config.heads:
+    if any(size % VECTOR for size in whole) or config.width % config.heads:
         return None
     sizes = {
         "WIDTH": config.width,
@@ -117,28 +131,40 @@ def load_kernel(config: NetworkConfig, partners: int, points: int, bf16: bool = 
         "PARTNER_FEATURES": len(PARTNER),
         "ROAD_FEATURES": len(ROAD),
     }
-    definitions = [f"-D{name}={size}" for name, size in sizes.items()]
     tiles = bf16 and TILES and config.width // config.heads % VECTOR == 0
+    library = compiled("scene_encoder.cpp", sizes | ({"BF16": 1} if tiles else {}))
+    kernel = None if library is None else Kernel(library)
+    if kernel is not None and not kernel.library.is_ready():
+        return load_kernel(config, partners, points)
+    return kernel
+
+
+def compiled(source: str, definitions: dict[str, int]) -> Path | None:
+    """The shared library made from ``source`` with macros defined; None without a compiler or if it fails."""
+    compiler = cpp_compiler()
+    if compiler is None:
+        return None
     try:
-        kernel = Kernel(_compile([compiler, *FLAGS, *definitions, *(["-DBF16"] if tiles else [])]))
-        return kernel if kernel.library.is_ready() else load_kernel(config, partners, points)
+        return _compile(
+            [compiler, *FLAGS, *(f"-D{name}={size}" for name, size in definitions.items())], source
+        )
     except (OSError, subprocess.CalledProcessError) as error:
         reason = (getattr(error, "stderr", None) or str(error).encode()).decode(errors="replace").strip()
-        warnings.warn(f"the network runs in plain torch, several times slower: {reason}", stacklevel=2)
+        warnings.warn(f"the network runs in plain torch, several times slower: {reason}", stacklevel=3)
         return None
 
 
-def _compile(command: list[str]) -> Path:
-    """The shared library made by ``command`` from `SOURCE`; from the cache, if it was made before."""
-    sources = [SOURCE.with_name(name).read_text() for name in (SOURCE.name, *HEADERS)]
-    key = "\n".join([*command, _processor(), *sources])
+def _compile(command: list[str], source: str) -> Path:
+    """The shared library made by ``command``; from the cache, if it was made before."""
+    parts = [HERE / source, *sorted(HERE.glob("*.h"))]
+    key = "\n".join([*command, _processor(), *(part.read_text() for part in parts)])
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "phase_sumo"
-    library = cache / f"scene_encoder-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
+    library = cache / f"{parts[0].stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
     if not library.exists():
         cache.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=cache) as folder:
             made = Path(folder) / library.name
-            subprocess.run([*command, str(SOURCE), "-o", str(made)], check=True, capture_output=True)
+            subprocess.run([*command, str(parts[0]), "-o", str(made)], check=True, capture_output=True)
             os.replace(made, library)  # whole, even if another process does the same
     return library
 

@@ -7,7 +7,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from phase_sumo.config import Actions, NetworkConfig
+from phase_sumo.policy.native import autocasts_to_bf16
 from phase_sumo.policy.scene_encoder import SceneEncoder
+from phase_sumo.policy.trunk import TrunkKernel, load_trunk
 from phase_sumo.sim.observation import CONTEXT, EGO, Observation
 
 
@@ -36,7 +38,7 @@ class PolicyNetwork(ActorCritic):
 
     def __init__(self, config: NetworkConfig, actions: Actions) -> None:
         super().__init__(actions)
-        hidden = config.hidden
+        self.config, hidden = config, config.hidden
         self.ego = nn.Sequential(
             nn.Linear(len(EGO), hidden), nn.ReLU(inplace=True), nn.Linear(hidden, hidden)
         )
@@ -51,15 +53,34 @@ class PolicyNetwork(ActorCritic):
 
     def forward(self, observation: Observation) -> tuple[Tensor, Tensor]:
         """Logits [B, A] and value [B] in fp32 for an observation with one leading axis B."""
-        trunk = self._trunk(observation)
+        seen = self._seen(observation)
+        kernel = self._kernel(seen)
+        if kernel is not None:
+            out = self._compiled(kernel, seen)
+            return out[:, :-1], out[:, -1]
+        trunk = self.trunk(seen)
         return self.policy(trunk).float(), self.value(trunk).float().squeeze(-1)
 
     def logits(self, observation: Observation) -> Tensor:
-        return self.policy(self._trunk(observation)).float()
+        seen = self._seen(observation)
+        kernel = self._kernel(seen)
+        return (
+            self.policy(self.trunk(seen)).float() if kernel is None else self._compiled(kernel, seen)[:, :-1]
+        )
 
-    def _trunk(self, observation: Observation) -> Tensor:
+    def _seen(self, observation: Observation) -> Tensor:
         parts = self.ego(observation.ego), observation.context, self.scene(observation)
-        return self.trunk(torch.cat(parts, -1))
+        return torch.cat(parts, -1)
+
+    def _compiled(self, kernel: TrunkKernel, seen: Tensor) -> Tensor:
+        layers = self.trunk, self.policy, self.value
+        return kernel(seen, [weight for layer in layers for weight in layer.parameters()])
+
+    def _kernel(self, seen: Tensor) -> TrunkKernel | None:
+        """The compiled trunk and heads, for products in bf16."""
+        if seen.device.type != "cpu" or torch.compiler.is_compiling() or not autocasts_to_bf16():
+            return None
+        return load_trunk(self.config, seen.shape[-1], len(self.log_prior))
 
 
 def head(width: int, hidden: int, out: int) -> nn.Sequential:

@@ -1,8 +1,9 @@
 // Matrix products of small matrices with factors rounded to bf16 and sums in fp32, on the tiles of AMX.
 //
-// The left factor of a product lies in "rows", [M][K], the right one in "pairs", [K / 2][N][2]; M and N are
-// filled up with zeros to whole tiles of 16, K of 32. Pairs seen as 32-bit numbers and transposed are the rows
-// of the transposed matrix, and the other way round. C has to have room for M filled up to whole tiles.
+// The left factor of a product lies in "rows", tiles of [16][32], row after row of tiles; the right one in "pairs",
+// tiles of [16][16][2] with two rows of the matrix beside one another, column after column of tiles. Matrices are filled up with zeros to whole
+// tiles. A tile of pairs seen as 32-bit numbers and transposed is a tile of rows of the transposed matrix, and the
+// other way round. C is an ordinary matrix that has room for whole tiles.
 
 #pragma once
 
@@ -14,6 +15,7 @@
 
 constexpr int AGENTS = 2;  // that share registers
 constexpr int DEPTH = 32;  // of a tile: numbers that one instruction multiplies and adds up
+constexpr int TILE = VECTOR * DEPTH;
 constexpr int deep(int k) { return (k + DEPTH - 1) / DEPTH * DEPTH; }
 
 // Linux gives a process tiles on request
@@ -43,8 +45,8 @@ struct Products {
     asm volatile("tilestored %%tmm" #tile ", (%0,%1,1)" ::"r"(to), "r"(int64_t(stride)) : "memory")
 #define TILE_MULTIPLY(c, a, b) asm volatile("tdpbf16ps %%tmm" #b ", %%tmm" #a ", %%tmm" #c ::)
 
-// ROWS x COLUMNS tiles of C[][CS] = start + A[][K] B[K][BS]
-template <Start START, int ROWS, int COLUMNS, int K, int BS, int CS>
+// ROWS x COLUMNS tiles of C[][CS] = start + A[][K] B[K][] for rows a and pairs b
+template <Start START, int ROWS, int COLUMNS, int K, int CS>
 inline void multiply_tiles(const uint16_t *a, const uint32_t *b, float *c, const float *bias) {
     constexpr int NEXT = VECTOR * CS;
     if constexpr (START == FROM_ZERO) {
@@ -61,13 +63,13 @@ inline void multiply_tiles(const uint16_t *a, const uint32_t *b, float *c, const
         if constexpr (ROWS == 2 && COLUMNS == 2) TILE_LOAD(3, below + RIGHT, 4 * STRIDE);
     }
 #pragma GCC unroll 4
-    for (int k = 0; k < K; k += DEPTH) {
-        TILE_LOAD(4, a + k, 2 * K);
-        TILE_LOAD(6, b + k / 2 * BS, 4 * BS);
+    for (int k = 0; k < K / DEPTH; k++) {
+        TILE_LOAD(4, a + k * TILE, 64);
+        TILE_LOAD(6, b + k * (TILE / 2), 64);
         TILE_MULTIPLY(0, 4, 6);
-        if constexpr (COLUMNS == 2) TILE_LOAD(7, b + k / 2 * BS + VECTOR, 4 * BS);
+        if constexpr (COLUMNS == 2) TILE_LOAD(7, b + (K / DEPTH + k) * (TILE / 2), 64);
         if constexpr (COLUMNS == 2) TILE_MULTIPLY(1, 4, 7);
-        if constexpr (ROWS == 2) TILE_LOAD(5, a + VECTOR * K + k, 2 * K);
+        if constexpr (ROWS == 2) TILE_LOAD(5, a + K / DEPTH * TILE + k * TILE, 64);
         if constexpr (ROWS == 2) TILE_MULTIPLY(2, 5, 6);
         if constexpr (ROWS == 2 && COLUMNS == 2) TILE_MULTIPLY(3, 5, 7);
     }
@@ -84,12 +86,20 @@ inline void multiply_packed(const uint16_t *a, const uint32_t *b, float *c, cons
     constexpr int TILES = whole(M) / VECTOR, COLUMNS = N % (2 * VECTOR) == 0 ? 2 : 1;
     for (int n = 0; n < N; n += COLUMNS * VECTOR) {
         for (int m = 0; m + VECTOR < whole(M); m += 2 * VECTOR)
-            multiply_tiles<START, 2, COLUMNS, deep(K), N, CS>(a + m * deep(K), b + n, c + m * CS + n, bias + m * VECTOR);
+            multiply_tiles<START, 2, COLUMNS, deep(K), CS>(a + m * deep(K), b + n * deep(K) / 2, c + m * CS + n, bias + m * VECTOR);
         if constexpr (TILES % 2 == 1) {
             constexpr int m = (TILES - 1) * VECTOR;
-            multiply_tiles<START, 1, COLUMNS, deep(K), N, CS>(a + m * deep(K), b + n, c + m * CS + n, bias + m * VECTOR);
+            multiply_tiles<START, 1, COLUMNS, deep(K), CS>(a + m * deep(K), b + n * deep(K) / 2, c + m * CS + n, bias + m * VECTOR);
         }
     }
+}
+
+// where m, k of rows [.][K] and k, n of pairs [K][.] lie
+constexpr int row_at(int m, int k, int K) {
+    return (m / VECTOR * (K / DEPTH) + k / DEPTH) * TILE + m % VECTOR * DEPTH + k % DEPTH;
+}
+constexpr int pair_at(int k, int n, int K) {
+    return (n / VECTOR * (K / DEPTH) + k / DEPTH) * (TILE / 2) + k % DEPTH / 2 * VECTOR + n % VECTOR;
 }
 
 // 16 numbers of two rows as bf16, one behind the other
@@ -109,11 +119,11 @@ inline void to_rows(const float *a, uint16_t *rows) {
         for (int k = 0; k < deep(K); k += DEPTH) {
             const float *from = a + m * STRIDE + k;
             Vector first = load_some(from, m < M ? K - k : 0), second = load_some(from + VECTOR, m < M ? K - k - VECTOR : 0);
-            *reinterpret_cast<__m512i *>(rows + m * deep(K) + k) = round_two(first, second);
+            *reinterpret_cast<__m512i *>(rows + row_at(m, k, deep(K))) = round_two(first, second);
         }
 }
 
-// b[K][N], a row every STRIDE numbers, to pairs
+// b[K][N], a row every STRIDE numbers, to pairs; columns from STRIDE on are zeros
 template <int K, int N, int STRIDE = N>
 inline void to_pairs(const float *b, uint32_t *pairs) {
     alignas(64) static constexpr uint16_t ORDER[32] = {0, 16, 1, 17, 2,  18, 3,  19, 4,  20, 5,  21, 6,  22, 7,  23,
@@ -121,16 +131,36 @@ inline void to_pairs(const float *b, uint32_t *pairs) {
     const __m512i order = *reinterpret_cast<const __m512i *>(ORDER);
     for (int k = 0; k < deep(K); k += 2)
         for (int n = 0; n < N; n += VECTOR) {
-            Vector even = k < K ? load(b + k * STRIDE + n) : Vector{};
-            Vector odd = k + 1 < K ? load(b + (k + 1) * STRIDE + n) : Vector{};
-            *reinterpret_cast<__m512i *>(pairs + k / 2 * N + n) =
+            const int left = N > STRIDE ? STRIDE - n : VECTOR;  // of a row; zeros beyond it
+            Vector even = k < K ? load_some(b + k * STRIDE + n, left) : Vector{};
+            Vector odd = k + 1 < K ? load_some(b + (k + 1) * STRIDE + n, left) : Vector{};
+            *reinterpret_cast<__m512i *>(pairs + pair_at(k, n, deep(K))) =
                 _mm512_permutexvar_epi16(order, round_two(even, odd));
         }
 }
 
+// rows [M][N] to pairs along M
 template <int M, int N>
-inline void transpose_bits(const void *from, void *to) {
-    transpose<M, N>(static_cast<const float *>(from), static_cast<float *>(to));
+inline void rows_to_pairs(const uint16_t *rows, uint32_t *pairs) {
+    for (int m = 0; m < M; m += 2)
+        for (int n = 0; n < N; n += VECTOR) {
+            const uint16_t *at = rows + row_at(m, n, N);
+            const __m512i low = _mm512_cvtepu16_epi32(*reinterpret_cast<const __m256i *>(at));
+            const __m512i high = _mm512_cvtepu16_epi32(*reinterpret_cast<const __m256i *>(at + DEPTH));
+            *reinterpret_cast<__m512i *>(pairs + pair_at(m, n, deep(M))) = _mm512_or_si512(low, _mm512_slli_epi32(high, 16));
+        }
+}
+
+inline Vector widened(const uint16_t *from) {  // 16 numbers of bf16
+    return (Vector)_mm512_slli_epi32(_mm512_cvtepu16_epi32(*reinterpret_cast<const __m256i *>(from)), 16);
+}
+
+// rows of a matrix [M][K] to pairs of its transpose, or pairs of [K][M] to rows of its transpose
+template <int M, int K>
+inline void turn_tiles(const void *from, void *to) {
+    constexpr int SIZE = VECTOR * VECTOR;
+    for (int at = 0; at < whole(M) * deep(K) / 2; at += SIZE)
+        transpose<VECTOR, VECTOR>(static_cast<const float *>(from) + at, static_cast<float *>(to) + at);
 }
 
 // C[M][N] = start + A[M][K] B[K][N], where A(m, k) lies at a[m * AM + k * AK], a row of B every BS, of C every CS
@@ -145,7 +175,7 @@ inline void multiply(const float *a, const float *b, float *c) {
     } else {
         alignas(64) uint32_t columns[deep(K) / 2 * M];
         to_pairs<K, M, AK>(a, columns);
-        transpose_bits<deep(K) / 2, M>(columns, rows);
+        turn_tiles<M, K>(columns, rows);
     }
     to_pairs<K, N, BS>(b, pairs);
     multiply_packed<START, M, K, N, CS>(rows, pairs, c);
@@ -158,7 +188,7 @@ inline void multiply_turned(const float *a, const float *b, float *c) {
     alignas(64) uint32_t pairs[deep(K) / 2 * whole(N)];
     to_rows<M, K, AS>(a, rows);
     to_rows<N, K, BS>(b, columns);
-    transpose_bits<whole(N), deep(K) / 2>(columns, pairs);
+    turn_tiles<N, K>(columns, pairs);
     multiply_packed<START, M, K, whole(N), CS>(rows, pairs, c);
 }
 

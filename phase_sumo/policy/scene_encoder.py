@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from phase_sumo.config import NetworkConfig
-from phase_sumo.policy.native import Kernel, load_kernel
+from phase_sumo.policy.native import Kernel, autocasts_to_bf16, load_kernel
 from phase_sumo.sim.observation import PARTNER, ROAD, Observation
 
 
@@ -56,8 +56,7 @@ class SceneEncoder(nn.Module):
         road = observation.road
         if road.device.type != "cpu" or road.dtype != torch.float32 or torch.compiler.is_compiling():
             return None
-        bf16 = torch.is_autocast_enabled("cpu") and torch.get_autocast_dtype("cpu") == torch.bfloat16
-        return load_kernel(self.config, observation.partner.shape[-2], road.shape[-2], bf16)
+        return load_kernel(self.config, observation.partner.shape[-2], road.shape[-2], autocasts_to_bf16())
 
     def reference(self, observation: Observation) -> Tensor:
         """`forward` in torch operations, on any device."""
