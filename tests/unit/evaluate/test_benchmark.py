@@ -30,7 +30,10 @@ def test_its_maps_and_worlds_are_those_of_the_repository_in_all_regimes(public):
     counts = torch.bincount(public.regime)
     assert counts.tolist() == [24] * 4
     agents = [int(public.start.active[public.regime == r].sum()) for r in range(4)]
-    assert agents == sorted(agents, reverse=True) and sum(agents) == 4265
+    assert agents == sorted(agents, reverse=True) and sum(agents) == 5085
+    for count, number in zip(public.start.active.sum(-1).tolist(), public.regime.tolist(), strict=True):
+        least = benchmark.SCENARIOS.regimes[number].agents_late[0] * benchmark.SCENARIOS.agent_scale
+        assert count >= 0.9 * least
     # every agent begins on its road, apart from the others, with a goal ahead
     state, task, there = public.start.state, public.start.task, public.start.active
     ahead = (task.goal_x - state.x) * torch.cos(state.yaw) + (task.goal_y - state.y) * torch.sin(state.yaw)
