@@ -57,7 +57,7 @@ def _synthetic(args: argparse.Namespace) -> Any:
             config.slots,
             episodes=args.episodes,
             seed=args.seed,
-            greedy=args.greedy,
+            sampled=args.sampled,
             progress=lambda share: progress(share, "worlds"),
         )
     print(f"{result['agents']} agents in {result['scenarios']} scenarios")
@@ -80,7 +80,7 @@ def _logs(args: argparse.Namespace) -> Any:
             all_windows=args.all_windows,
             references=args.references,
             seed=args.seed,
-            greedy=args.greedy,
+            sampled=args.sampled,
             progress=progress,
         )
     print(f"{result['agents']} agents in {result['scenarios']} windows of {result['recordings']} recordings")
@@ -136,7 +136,7 @@ def _benchmark(args: argparse.Namespace) -> Any:
                 driver,
                 actions,
                 args.seed,
-                args.greedy,
+                args.sampled,
                 args.worlds,
                 lambda share, name=name, progress=progress: progress(share, name),
             )

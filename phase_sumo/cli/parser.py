@@ -128,7 +128,9 @@ def make_parser() -> argparse.ArgumentParser:
         help="recorded windows of 10 s at most, drawn at random",
     )
     sub.add_argument("--all-windows", action="store_true", help="recorded windows without a lane change, too")
-    sub.add_argument("--greedy", action="store_true", help="most probable actions instead of sampled ones")
+    sub.add_argument(
+        "--sampled", action="store_true", help="actions drawn from the policy, not its most probable ones"
+    )
 
     sub = add("steer", evaluation.steer, "how far outcomes follow alpha, target speed, vehicle type and goal")
     sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")

@@ -172,7 +172,7 @@ def run_benchmark(
     driver: Driver,
     actions: Actions,
     seed: int = 0,
-    greedy: bool = False,
+    sampled: bool = False,
     together: int = 24,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
@@ -190,7 +190,7 @@ def run_benchmark(
     """
     parts = []
     for part in _batches(benchmark.start, together):
-        parts.append(_outcomes(part, benchmark.road_map, driver, actions, seed, greedy))
+        parts.append(_outcomes(part, benchmark.road_map, driver, actions, seed, sampled))
         if progress is not None:
             progress(sum(map(len, parts)) / len(benchmark.regime))
     outcomes, start = torch.cat(parts), benchmark.start
@@ -212,11 +212,11 @@ def _batches(start: Start, size: int) -> Iterator[Start]:
 
 
 def _outcomes(
-    start: Start, road_map: RoadMap, driver: Driver, actions: Actions, seed: int, greedy: bool
+    start: Start, road_map: RoadMap, driver: Driver, actions: Actions, seed: int, sampled: bool
 ) -> Tensor:
     """[W, N, rates] bool, what became of every agent in the order of `RATES`."""
     result = torch.zeros(*start.active.shape, len(RATES), dtype=torch.bool)
-    for step in drive(start, road_map, driver, SimConfig(), actions, seed, greedy):
+    for step in drive(start, road_map, driver, SimConfig(), actions, seed, sampled):
         o = step.outcome
         now = torch.stack((o.goal, o.collision, o.at_fault, o.road_edge, o.goal & ~o.at_fault), -1)
         result = torch.where(step.finished.unsqueeze(-1), now, result)

@@ -78,7 +78,7 @@ def drive(
     sim: SimConfig,
     actions: Actions,
     seed: int = 0,
-    greedy: bool = False,
+    sampled: bool = False,
 ) -> Iterator[Step]:
     """Step until every agent has reached its goal, become unrecoverable or run out of time.
 
@@ -87,7 +87,7 @@ def drive(
 
     Args:
         driver: of all agents.
-        greedy: most probable actions instead of drawn ones.
+        sampled: actions drawn from the driver's distribution instead of the most probable ones.
     """
     shape, task, active, state = start.shape, start.task, start.active, start.state
     nobody = torch.zeros_like(active)
@@ -96,7 +96,7 @@ def drive(
     for t in range(sim.horizon):
         seen = look(shape, state, task, active, road_map, start.map_index, None, sim).rows(active)
         action = torch.zeros(active.shape, dtype=torch.long)
-        action[active] = choose(driver(seen), None if greedy else uniform[:, t][active])
+        action[active] = choose(driver(seen), uniform[:, t][active] if sampled else None)
         jerk, rate = kinematics.command(action, state, task.alpha, actions, sim.dt)
         after = kinematics.advance(shape, state, jerk, rate, sim).where(active, state)
         events = detect(shape, state, after, task, active, road_map, start.map_index, sim, trailers)

@@ -26,7 +26,7 @@ def evaluate_synthetic(
     slots: int,
     episodes: int = 1,
     seed: int = 0,
-    greedy: bool = False,
+    sampled: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """Roll out whole episodes and count what became of every agent.
@@ -54,7 +54,7 @@ def evaluate_synthetic(
             training=False,
             rho=1.0,
         )
-        generator = None if greedy else torch.Generator().manual_seed(seed + episode)
+        generator = torch.Generator().manual_seed(seed + episode) if sampled else None
         for t in range(horizon):
             first = env.worlds.clock == t  # worlds still in the scenario they began with
             if not first.any():

@@ -192,12 +192,12 @@ def _task(log: Poses, seed: int, first: int) -> Task:
     return Task(x, y, yaw, speed.clamp(0.0, SimConfig().max_speed), alpha)
 
 
-def driven(found: Scenes, policy: Policy, seed: int, greedy: bool = False) -> Iterator[Frame]:
+def driven(found: Scenes, policy: Policy, seed: int, sampled: bool = False) -> Iterator[Frame]:
     """The scenes under the policy, all vehicles at once."""
     sim = replace(policy.sim, horizon=found.log.x.shape[-1] - 1, early_termination=True)
     ends = torch.tensor([w.steps for w in found.windows])
     driver = policy_driver(policy)
-    for t, step in enumerate(drive(found.start, found.road_map, driver, sim, policy.actions, seed, greedy)):
+    for t, step in enumerate(drive(found.start, found.road_map, driver, sim, policy.actions, seed, sampled)):
         running = (ends > t).unsqueeze(-1)
         yield Frame(step.before, step.after, step.active & running)
 

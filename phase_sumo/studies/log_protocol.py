@@ -44,7 +44,7 @@ def evaluate_logs(
     all_windows: bool = False,
     references: bool = False,
     seed: int = 0,
-    greedy: bool = False,
+    sampled: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> dict[str, Any]:
     """Goal, collision and success rates and distances to the log in recorded scenes.
@@ -55,7 +55,7 @@ def evaluate_logs(
         all_windows: take windows without a lane change, too.
         references: score the log itself, constant velocity and SUMO's IDM on the same windows.
         seed: of the windows drawn, alpha and actions.
-        greedy: most probable actions instead of sampled ones.
+        sampled: actions drawn from the policy's distribution instead of the most probable ones.
 
     Returns:
         `table` of the policy, and of the references by name under ``references``.
@@ -76,7 +76,7 @@ def evaluate_logs(
             done.append(score(found, frames(found), lambda s, at=share: report(at + s / len(parts), name)))
         return table(parts, done)
 
-    result = scored("policy", lambda found: driven(found, policy, seed, greedy))
+    result = scored("policy", lambda found: driven(found, policy, seed, sampled))
     result["references"] = {}
     if references:
         tracks = _idm(chosen, seed, report)

@@ -19,7 +19,7 @@ def is_due(steps: int, latest: int, every: int) -> bool:
 def held_out_rates(policy: Policy, maps: list[MapBundle], config: TrainConfig) -> dict[str, float]:
     """Columns of the curve: goal, collision and road-edge rates in the same worlds every time."""
     result = evaluate_synthetic(
-        policy, maps, config.scenarios, WORLDS, config.slots, seed=10_000 + config.seed, greedy=True
+        policy, maps, config.scenarios, WORLDS, config.slots, seed=10_000 + config.seed
     )
     rates = {f"held_out_{name}": result[name] for name in RATES}
     for group in {**result["by_regime"], **result["by_kind"]}.items():

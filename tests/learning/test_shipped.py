@@ -23,7 +23,7 @@ def test_it_reaches_goals_and_stays_on_the_road(held_out: list[MapBundle]):
     assert policy.info["agent_steps"] >= 10_000_000
     assert not {m.name for m in held_out} & set(policy.info["networks"])
     config = TrainConfig()
-    result = evaluate_synthetic(policy, held_out, config.scenarios, 48, config.slots, seed=42, greedy=True)
+    result = evaluate_synthetic(policy, held_out, config.scenarios, 48, config.slots, seed=42)
     assert result["agents"] > 500
     assert result["goal_rate"] > 0.75, result
     assert result["road_collision_rate"] < 0.05, result

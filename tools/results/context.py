@@ -128,7 +128,7 @@ def roll_out(
     policy, begin = load_policy(policy_file), start(bundle)
     states, there = [begin.state], [begin.active]
     sim = SimConfig()
-    for step in drive(begin, bundle.road_map, policy_driver(policy), sim, policy.actions, greedy=True):
+    for step in drive(begin, bundle.road_map, policy_driver(policy), sim, policy.actions):
         states.append(step.after)
         there.append(step.active & ~step.finished)
     return begin, states, there

@@ -95,7 +95,7 @@ class Stage:
         """Of every ego under its context; who has no lane there keeps its own."""
         start, trace = self._begin(contexts), _Trace(self._slot)
         sim = SimConfig()
-        for step in drive(start, self._road_map, self._driver, sim, self._actions, self._seed):
+        for step in drive(start, self._road_map, self._driver, sim, self._actions, self._seed, sampled=True):
             trace.add(step)
             if not trace.driving:
                 break

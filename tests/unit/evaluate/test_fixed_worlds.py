@@ -25,7 +25,7 @@ def start(worlds: int = 3) -> Start:
 
 def ways(begin: Start, bundle: MapBundle, driver, seed: int = 0) -> torch.Tensor:
     """[T, W, N] actions of the first 20 steps."""
-    steps = drive(begin, bundle.road_map, driver, SimConfig(), ActionConfig(), seed)
+    steps = drive(begin, bundle.road_map, driver, SimConfig(), ActionConfig(), seed, sampled=True)
     return torch.stack([step.action for step, _ in zip(steps, range(20), strict=False)])
 
 
