@@ -19,7 +19,7 @@ from phase_sumo.sim.road_map import POINTS_PER_CELL, merge
 from phase_sumo.sim.scenario import Scenario, script_slots
 from phase_sumo.sim.scripted import move_scripted
 from phase_sumo.sim.tuples import map_regime_tuples
-from phase_sumo.sim.worlds import Beyond, Transition, Worlds, advance, look
+from phase_sumo.sim.worlds import Beyond, Transition, Worlds, advance, look, look_at
 
 # Steps between refills of the scenarios that finished worlds take over. The rare world that is over twice in
 # between drives the same one again.
@@ -53,7 +53,6 @@ class Environment:
 
     Attributes:
         worlds: shapes, states, tasks of all agents.
-        observation: what every agent sees now, [W, N, ...].
         rho: curriculum progress; set it at will.
     """
 
@@ -94,6 +93,8 @@ class Environment:
         self._noise = NoiseTable(seen, self._places, device) if training else None
         self._advance = torch.compile(advance, **COMPILATION) if compiled else advance
         self._look = torch.compile(look, **COMPILATION) if compiled else look
+        some = {**COMPILATION, "dynamic": None}  # the number of agents is marked as one that changes
+        self._look_at = torch.compile(look_at, **some) if compiled else look_at
         self.reset()
 
     def reset(self) -> None:
@@ -106,7 +107,7 @@ class Environment:
         self._spare = self._sample(self.tuple_index)
         self._used = torch.zeros_like(clock, dtype=torch.bool)
         self._steps = 0
-        self.observation = self._observe()
+        self._perturb()
 
     @torch.no_grad()
     def step(self, action: Tensor) -> Transition:
@@ -133,7 +134,7 @@ class Environment:
         self._steps += 1
         if self._steps % RESAMPLE_EVERY == 0:
             self._resample()
-        self.observation = self._observe()
+        self._perturb()
         return transition
 
     def _beyond(self) -> Beyond | None:
@@ -158,23 +159,34 @@ class Environment:
         uniform = torch.rand(size, generator=self.generator, device=device)
         return Beyond(self.pairs, uniform, settings.rolling_horizon, moved)
 
-    def _observe(self) -> Observation:
-        noise = None
+    @property
+    @torch.no_grad()
+    def observation(self) -> Observation:
+        """What every agent sees now, [W, N, ...]."""
+        if self._observation is None:
+            self._observation = self._look(*self._seen())
+        return self._observation
+
+    @torch.no_grad()
+    def seen_by(self, index: Tensor) -> Observation:
+        """What the agents in the slots ``index`` [A] of all W N see now, [A, ...]; A is 2 or more."""
+        if self._look_at is not look_at:
+            torch._dynamo.mark_dynamic(index, 0)
+        return self._look_at(index, *self._seen())
+
+    def _seen(self) -> tuple[Any, ...]:
+        """What there is to see, and how."""
+        w = self.worlds
+        return w.shape, w.state, w.task, w.active, self.road_map, self.map_index, self._perturbation, self.sim
+
+    def _perturb(self) -> None:
+        """New noise for what is seen from now on."""
         self._seen_from = self._places.get_state()
+        self._observation: Observation | None = None
+        self._perturbation = None
         if self._noise:
             partner, road = self._noise.draw()
-            noise = partner, road
-        worlds = self.worlds
-        return self._look(
-            worlds.shape,
-            worlds.state,
-            worlds.task,
-            worlds.active,
-            self.road_map,
-            self.map_index,
-            noise,
-            self.sim,
-        )
+            self._perturbation = partner, road
 
     def _resample(self) -> None:
         """New scenarios for the worlds that have taken theirs."""
@@ -222,7 +234,7 @@ class Environment:
         self._steps, self.rho = stored["steps"], stored["rho"]
         self.generator.set_state(stored["generator"])
         self._places.set_state(stored["places"])
-        self.observation = self._observe()
+        self._perturb()
 
 
 def tensors(batch: Any) -> list[Tensor]:

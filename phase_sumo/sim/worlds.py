@@ -219,3 +219,42 @@ def look(
     cell, view = materialise(cell, road_map.cell_view[cell])
     lane_yaw = road_map.cell_yaw[cell]
     return observe(shape, state, task, others, mask, road_map, view, lane_yaw, sim, noise)
+
+
+def look_at(
+    index: Tensor,
+    shape: VehicleShape,
+    state: VehicleState,
+    task: Task,
+    active: Tensor,
+    road_map: RoadMap,
+    map_index: Tensor,
+    noise: tuple[Tensor, Tensor] | None,
+    sim: SimConfig,
+) -> Observation:
+    """What the agents in the slots ``index`` [A] see, [A, ...]: rows of `look` for less than its price."""
+
+    def rows(values: Tensor) -> Tensor:
+        return values.flatten(0, 1)[index]
+
+    near, mask = nearest(state.x, state.y, active, sim)
+    (near,) = materialise(near)
+    first = index - index % active.shape[1]  # slot of each agent's world
+    table = materialise(*(values.flatten() for values in vars(appearance(shape, state)).values()))
+    others = Appearance(*(values[rows(near) + first.unsqueeze(-1)] for values in table))
+    cell = road_map.cell(map_index, state.x, state.y)
+    cell, view = materialise(cell, road_map.cell_view[cell])
+    noise = None if noise is None else (rows(noise[0]), rows(noise[1]))
+    lane_yaw = road_map.cell_yaw[rows(cell)]
+    return observe(
+        shape.map(rows),
+        state.map(rows),
+        task.map(rows),
+        others,
+        rows(mask),
+        road_map,
+        rows(view),
+        lane_yaw,
+        sim,
+        noise,
+    )

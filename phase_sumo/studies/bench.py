@@ -72,16 +72,17 @@ def bench_sim(
     )
     parts = _timed_parts(env)
     generator = torch.Generator().manual_seed(seed)
-    spent, agent_steps = 0.0, 0
+    spent, agent_steps, seen = 0.0, 0, env.observation
     for t in range(WARM_UP + steps):
         if t == WARM_UP:
             parts.update(dict.fromkeys(parts, 0.0))
         active = env.worlds.controlled
         action = torch.zeros(active.shape, dtype=torch.long)
-        action[active] = policy.act(env.observation.rows(active), generator)
+        action[active] = policy.act(seen.rows(active), generator)
         acting = int(active.sum())
         began = time.process_time()
         env.step(action)
+        seen = env.observation
         if t >= WARM_UP:
             spent += time.process_time() - began
             agent_steps += acting

@@ -69,7 +69,7 @@ class Trainer:
             compiled=config.compiled and cpp_compiler() is not None,
             share=distributed.share(config.worlds),
         )
-        self.buffer = Buffer(self.env.observation, config.rollout)
+        self.buffer = Buffer(self.env, config.rollout)
         self.scale = ValueScale()
         self.steps, self.wall = 0, 0.0
         facts = {"phase_sumo": phase_sumo.__version__, "torch": torch.__version__, "networks": self.names}

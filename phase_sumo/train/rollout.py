@@ -90,23 +90,29 @@ class Buffer:
         observation, action, log_prob: leading axis the capacity: every slot at every step and after the last.
     """
 
-    def __init__(self, seen: Observation, steps: int) -> None:
-        capacity = (steps + 1) * seen.ego.shape[:2].numel() + ROWS
+    def __init__(self, env: Environment, steps: int) -> None:
+        active = env.worlds.active
+        capacity, seen = (steps + 1) * active.numel() + ROWS, env.seen_by(whole_batches(active)[0])
         self.observation = seen.map(lambda t: _rows_like(t, capacity))
-        self.action = torch.zeros(capacity, dtype=torch.long, device=seen.ego.device)
-        self.log_prob = torch.zeros(capacity, device=seen.ego.device)
+        self.action = torch.zeros(capacity, dtype=torch.long, device=active.device)
+        self.log_prob = torch.zeros(capacity, device=active.device)
 
-    def put(self, seen: Observation, index: Tensor, at: int) -> Observation:
-        """Copy the agents ``index`` of all slots to the rows from ``at`` on.
+    def put(self, seen: Observation, at: int) -> Observation:
+        """Copy what some agents see to the rows from ``at`` on; returns those rows."""
+        rows = self.observation.map(lambda t: t[at : at + len(seen)])
+        for source, target in zip(vars(seen).values(), vars(rows).values(), strict=True):
+            _side_by_side(target).copy_(_side_by_side(source))
+        return rows
 
-        Returns:
-            Those rows and some more that make their number a multiple of `ROWS`.
-        """
-        for source, target in zip(vars(seen).values(), vars(self.observation).values(), strict=True):
-            source, target = _side_by_side(source.flatten(0, 1)), _side_by_side(target[at : at + len(index)])
-            torch.index_select(source, 0, index, out=target)
-        end = at + -(-len(index) // ROWS) * ROWS
-        return self.observation.map(lambda t: t[at:end])
+
+def whole_batches(active: Tensor) -> tuple[Tensor, int]:
+    """Slots of the active agents, then the first slot as often as whole batches take, and the agents' number.
+
+    The number of agents waits for the device; to evaluate all slots would be three times the work.
+    """
+    index = active.flatten().nonzero().squeeze(-1)
+    count = len(index)
+    return torch.nn.functional.pad(index, (0, max(-count % ROWS, ROWS - count))), count
 
 
 def _side_by_side(rows: Tensor) -> Tensor:
@@ -115,9 +121,8 @@ def _side_by_side(rows: Tensor) -> Tensor:
 
 
 def _rows_like(seen: Tensor, capacity: int) -> Tensor:
-    """Zeros for ``capacity`` agents of seen [W, N, ...], in the same memory layout."""
-    shape = _side_by_side(seen.flatten(0, 1)).shape[1:]
-    return _side_by_side(seen.new_zeros(capacity, *shape))
+    """Zeros for ``capacity`` agents like those of seen [A, ...], in the same memory layout."""
+    return _side_by_side(seen.new_zeros(capacity, *_side_by_side(seen).shape[1:]))
 
 
 @dataclass
@@ -166,18 +171,16 @@ def collect(
     at = 0
     for _ in range(steps):
         active = env.worlds.controlled
-        index = (
-            active.flatten().nonzero().squeeze(-1)
-        )  # waits for the device; padding costs three times the work
-        logits, value = evaluate(network, buffer.put(env.observation, index, at), bf16)
-        log_prob = logits[: len(index)].log_softmax(-1)
-        token = draw(log_prob, generator)
-        rows = slice(at, at + len(index))
+        index, count = whole_batches(active)
+        logits, value = evaluate(network, buffer.put(env.seen_by(index), at), bf16)
+        log_prob = logits[:count].log_softmax(-1)
+        token, index = draw(log_prob, generator), index[:count]
+        rows = slice(at, at + count)
         buffer.action[rows] = token
         buffer.log_prob[rows] = log_prob.gather(-1, token.unsqueeze(-1)).squeeze(-1)
-        at += len(index)
+        at += count
         step = env.step(scatter(token, index, active))
-        value = scatter(value[: len(index)] * std + mean, index, active)
+        value = scatter(value[:count] * std + mean, index, active)
         columns["active"].append(active)
         columns["finished"].append(step.finished)
         # a time-out is no failure: what the agent expected then stands for what would have come
@@ -186,14 +189,14 @@ def collect(
         _add(totals, _happened(step))
         _add(terms, step.terms)
     active = env.worlds.controlled
-    index = active.flatten().nonzero().squeeze(-1)
-    last = evaluate(network, buffer.put(env.observation, index, at), bf16)[1][: len(index)] * std + mean
+    index, count = whole_batches(active)
+    last = evaluate(network, buffer.put(env.seen_by(index), at), bf16)[1][:count] * std + mean
     return Rollout(
         buffer.observation.map(lambda t: t[:at]),
         buffer.action[:at],
         buffer.log_prob[:at],
         **{name: torch.stack(parts) for name, parts in columns.items()},
-        last_value=scatter(last, index, active),
+        last_value=scatter(last, index[:count], active),
         counts=Counts.of(totals, terms, steps).everywhere(),
     )
 

@@ -61,7 +61,7 @@ class Replay:
         for vehicle, state in decision.others.items():
             for name in STATE:
                 getattr(worlds.state, name)[0, self.slot[vehicle]] = torch.as_tensor(state[name])
-        return self.environment._observe().map(lambda values: values[0, slots])
+        return self.environment.seen_by(slots)
 
     def act(self, decision: Decision) -> tuple[set[str], set[str], set[str]]:
         """Step with the decision's tokens; vehicles that have collided, were at fault, touched the edge."""

@@ -184,3 +184,13 @@ def test_rolling_goals_go_on_until_the_road_ends(straight_map):
         assert (env.worlds.state.x[at_the_end] > 300).all()
     assert reached > 100
     assert ended_at_goal > 0
+
+
+@pytest.mark.parametrize("training", [True, False])
+def test_some_agents_see_what_they_see_among_all(straight_map, training: bool):
+    env = make(straight_map, training=training)
+    index = env.worlds.active.flatten().nonzero().squeeze(-1)[1::2]
+    some, every = env.seen_by(index), env.observation
+    for rows, values in zip(vars(some).values(), vars(every).values(), strict=True):
+        torch.testing.assert_close(rows, values.flatten(0, 1)[index])
+    assert env.observation is every  # not worked out again, nor perturbed anew

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from phase_sumo.config import preset
 from phase_sumo.policy.build import build_network
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import Environment
-from phase_sumo.train.rollout import ROWS, Buffer, collect, draw
+from phase_sumo.train.rollout import ROWS, Buffer, collect, draw, whole_batches
 
 MEAN, STD = 0.5, 2.0
 
@@ -21,7 +22,7 @@ def environment(bundle: MapBundle) -> Environment:
 def test_samples_are_those_of_the_active_agents_in_order(straight_map):
     config, env = preset("smoke"), environment(straight_map)
     torch.manual_seed(0)
-    network, buffer = build_network(config.network, config.actions).eval(), Buffer(env.observation, 5)
+    network, buffer = build_network(config.network, config.actions).eval(), Buffer(env, 5)
     generator = torch.Generator().manual_seed(1)
     for _ in range(2):  # the second one finds the first one's samples in the buffer
         first = env.observation.rows(env.worlds.active)
@@ -40,13 +41,24 @@ def test_samples_are_those_of_the_active_agents_in_order(straight_map):
         assert rollout.counts.steps == int(rollout.active.sum()) == len(rollout.action)
 
 
-def test_the_buffer_hands_out_whole_batches_and_keeps_the_layout(straight_map):
+def test_the_buffer_keeps_what_is_put_in_its_layout(straight_map):
     env = environment(straight_map)
-    buffer, index = Buffer(env.observation, 1), torch.tensor([3, 0, 20])
-    rows = buffer.put(env.observation, index, 2)
-    assert len(rows) == ROWS and rows.road.transpose(1, 2).is_contiguous()
-    assert torch.equal(rows.partner[:3], env.observation.partner.flatten(0, 1)[index])
-    assert not rows.road_mask[3:].any()
+    buffer, index = Buffer(env, 1), torch.tensor([3, 0, 20])
+    seen = env.seen_by(index)
+    rows = buffer.put(seen, 2)
+    assert len(rows) == 3 and rows.road.transpose(1, 2).is_contiguous()
+    for kept, put in zip(vars(rows).values(), vars(seen).values(), strict=True):
+        assert torch.equal(kept, put)
+    assert torch.equal(buffer.observation.partner[2:5], seen.partner)
+
+
+@pytest.mark.parametrize(("agents", "batches"), [(0, 1), (1, 1), (ROWS, 1), (ROWS + 1, 2)])
+def test_batches_are_whole_and_hold_every_active_agent(agents: int, batches: int):
+    active = torch.zeros(4, ROWS, dtype=torch.bool)
+    active.view(-1)[torch.randperm(active.numel())[:agents]] = True
+    index, count = whole_batches(active)
+    assert count == agents and len(index) == batches * ROWS
+    assert torch.equal(index[:count], active.flatten().nonzero().squeeze(-1))
 
 
 def test_actions_are_drawn_as_often_as_they_are_likely():
