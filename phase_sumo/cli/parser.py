@@ -80,8 +80,7 @@ def make_parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--preset",
         default="phase",
-        help="phase, no-dclamp, no-reweighting, no-curriculum, gpudrive, gpudrive-same-model, smoke, or "
-        "fine-tune to go on from a policy",
+        help="phase, paper, no-dclamp, no-reweighting, no-curriculum, gpudrive, gpudrive-same-model or smoke",
     )
     sub.add_argument("--steps", type=int, help="agent steps of the whole training; the preset's if left out")
     sub.add_argument("--resume", action="store_true", help="continue the run in --run")

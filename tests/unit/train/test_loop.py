@@ -8,7 +8,7 @@ import json
 import pytest
 import torch
 
-from phase_sumo.config import TrainConfig, from_dict, preset, to_dict
+from phase_sumo.config import REGIMES, RewardConfig, TrainConfig, from_dict, preset, to_dict
 from phase_sumo.errors import PhaseError
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.train import ppo
@@ -160,6 +160,7 @@ def test_presets_differ_in_what_they_ablate():
     assert preset("no-dclamp") == dataclasses.replace(phase, dclamp_alpha=1.0)
     assert preset("no-reweighting") == dataclasses.replace(phase, reweight=False)
     assert preset("no-curriculum") == dataclasses.replace(phase, curriculum=(2.0, 3.0))
+    assert preset("paper").reward == RewardConfig() and preset("paper").scenarios.regimes == REGIMES
     baseline, same_model = preset("gpudrive"), preset("gpudrive-same-model")
     assert same_model.network == phase.network and same_model.actions.axes == phase.actions.axes
     model = {"network": baseline.network, "actions": baseline.actions}
