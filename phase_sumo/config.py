@@ -274,7 +274,7 @@ def _phase(paper: TrainConfig) -> TrainConfig:
     """What the shipped policy is trained with: see PAPER.md for each departure and what it did.
 
     - A speed above the target is what is dangerous, one below it what traffic does: it costs a tenth.
-    - A contact costs most when it begins, whoever is at fault; counted in every step alone, rare long contacts
+    - A contact costs most when it begins, whoever is at fault: counted in every step, rare long contacts
       drown the goal in the normalised advantage.
     - Goals reached slowly count in full, since nobody meets a target speed in a jam.
     - Worlds hold what roads are full of: standing and scripted vehicles, stop and go, goals that roll on.
