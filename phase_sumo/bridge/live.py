@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from traci.step import StepListener
 
 from phase_sumo.bridge.fleet.contacts import ContactMonitor
@@ -15,7 +16,9 @@ from phase_sumo.bridge.fleet.drivers import Driver, Drivers
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.fleet import Fleet
 from phase_sumo.bridge.fleet.parameters import Choice, Parameters
+from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.scene import Scene
+from phase_sumo.bridge.maps.levels import Levels
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.bridge.outputs.trailers import Trailers
 from phase_sumo.bridge.sumo.options import check_options
@@ -76,14 +79,15 @@ class PhaseFleet(StepListener):
         network = read_network(option("net-file"), roads)
         edges = frozenset(lane.edge for lane in network.lanes if not lane.connector)
         self.scene = Scene(self.simulation, edges)
-        self._contacts = ContactMonitor(self.scene.events)
+        self._levels = Levels(network)
+        self._contacts = ContactMonitor(self.scene.events, self._touching)
         self._trailers = Trailers(api, self.scene.table) if api.hasGUI() else None
         self._fleet: Fleet | None = None
         if drives:
             common = load_policy(policy) if policy is None or isinstance(policy, str | Path) else policy
             drivers = Drivers(common, Path(option("configuration-file")).parent)
             hitch = "phase.hitch" in option("fcd-output.params")
-            self._fleet = Fleet(self.scene, network, drivers, self.choice, hitch)
+            self._fleet = Fleet(self.scene, Road(network, self._levels), drivers, self.choice, hitch)
         self._start = self._last = self.simulation.time
         self._pending = self._closed = False
         self._waited = 0
@@ -229,6 +233,19 @@ class PhaseFleet(StepListener):
         if fleet:
             report["fleet"] = fleet.report()
         return report
+
+    def _touching(self, vehicle: str, other: str) -> bool:
+        """Whether two vehicles are on one level; those of which it is not known are."""
+        a, b = self._piece(vehicle), self._piece(other)
+        return a < 0 or b < 0 or bool(self._levels.touching(np.array([a]), np.array([b]))[0])
+
+    def _piece(self, vehicle: str) -> int:
+        """The piece of road that a vehicle is on, -1 where it is not known."""
+        piece = self._fleet.piece(vehicle) if self._fleet else -1
+        if piece < 0 and vehicle in self.scene.lane_of:
+            position = float(self.simulation.api.vehicle.getLanePosition(vehicle))
+            piece = self._levels.of_lane(self.scene.lane_of[vehicle], position)
+        return piece
 
     @property
     def _over(self) -> bool:

@@ -34,6 +34,7 @@ class Lane:
         parts: (internal lane id, lane position where it starts in m) of a connector's chain.
         positions: [P] SUMO's lane position of each point in m, where ``points`` are not SUMO's own line;
             by default positions grow evenly from 0 to ``length``.
+        start, end: ids of the junctions at its ends, "" where they are not known.
     """
 
     id: str
@@ -53,6 +54,8 @@ class Lane:
     dead_end: bool = False
     parts: tuple[tuple[str, float], ...] = ()
     positions: FloatArray | None = None
+    start: str = ""
+    end: str = ""
 
 
 @dataclass(frozen=True)

@@ -77,8 +77,8 @@ class Grid:
         return self.origin + (square + 0.5) * CELL_SIZE
 
 
-def cells(graph: LaneGraph) -> tuple[Grid, IntArray, IntArray]:
-    """Grid squares whose centre lies within `MARGIN` of a lane.
+def cells(graph: LaneGraph, nodes: IntArray) -> tuple[Grid, IntArray, IntArray]:
+    """Grid squares whose centre lies within `MARGIN` of a lane, or of the given ``nodes`` of lanes.
 
     Every node offers itself to the nine squares around it: the nearest one within 1.5 squares of a centre is
     among them. From there nodes spread ring by ring, sliding along their lanes as they go.
@@ -86,11 +86,11 @@ def cells(graph: LaneGraph) -> tuple[Grid, IntArray, IntArray]:
     Returns:
         the grid, slot of each cell [C], its nearest node [C].
     """
-    grid = Grid.around(graph.node_xy)
+    grid = Grid.around(graph.node_xy[nodes])
     node, distance = np.full(grid.slots, -1), np.full(grid.slots, np.inf)
     along = np.stack((np.cos(graph.node_yaw), np.sin(graph.node_yaw)), -1)
-    square = ((graph.node_xy - grid.origin) // CELL_SIZE).astype(np.int64)
-    ring = _spread(graph, grid, square, np.arange(len(square)), node, distance)
+    square = ((graph.node_xy[nodes] - grid.origin) // CELL_SIZE).astype(np.int64)
+    ring = _spread(graph, grid, square, nodes, node, distance)
     ring = _kept(ring, node, distance, 1.5 * CELL_SIZE)
     while len(ring):
         ring = _spread(graph, grid, grid.square(ring), node[ring], node, distance)

@@ -42,15 +42,18 @@ class RoadView:
         graph: lane graph.
         xy, kind: [P, 2] m and [P], the road points; lane centres come first.
         of_node: [V] lane-centre point of each node.
+        layer: [P] of the road points; nobody sees a border of another layer.
     """
 
-    def __init__(self, graph: LaneGraph, xy: np.ndarray, kind: IntArray, of_node: IntArray) -> None:
+    def __init__(
+        self, graph: LaneGraph, xy: np.ndarray, kind: IntArray, of_node: IntArray, layer: IntArray
+    ) -> None:
         self._graph = graph
         self._centre = np.append(of_node, -1)
-        self._edges = _beside(graph, xy, kind, of_node, (RoadKind.ROAD_EDGE,), EDGE_REACH)
-        self._boundaries = _beside(
-            graph, xy, kind, of_node, (RoadKind.LANE_BOUNDARY, RoadKind.SOLID_BOUNDARY), BOUNDARY_REACH
-        )
+        edges = np.flatnonzero(kind == RoadKind.ROAD_EDGE)
+        boundaries = np.flatnonzero((kind == RoadKind.LANE_BOUNDARY) | (kind == RoadKind.SOLID_BOUNDARY))
+        self._edges = _beside(graph, xy, layer, of_node, edges, EDGE_REACH)
+        self._boundaries = _beside(graph, xy, layer, of_node, boundaries, BOUNDARY_REACH)
         self._lanes = [np.where(side >= 0, side, len(side)) for side in (graph.left, graph.right)]
 
     def points(self, nodes: IntArray, route: tuple[IntArray, IntArray] | None = None) -> NDArray[np.int32]:
@@ -157,16 +160,15 @@ def _onward(graph: LaneGraph) -> IntArray:
 def _beside(
     graph: LaneGraph,
     xy: np.ndarray,
-    kind: IntArray,
+    layer: IntArray,
     of_node: IntArray,
-    kinds: tuple[RoadKind, ...],
+    candidates: IntArray,
     reach: float,
 ) -> tuple[IntArray, IntArray]:
-    """[V + 1] nearest point of ``kinds`` to the left and to the right of every node's lane-centre point.
+    """[V + 1] nearest of some points to the left and to the right of every node's lane-centre point.
 
     -1 where there is none, and for the node beyond the road's end.
     """
-    candidates = np.flatnonzero(np.isin(kind, kinds))
     node = np.flatnonzero(np.diff(of_node, prepend=-1))  # the node each lane-centre point lies on
     yaw = graph.node_yaw[node]
     found = np.full((2, len(node)), -1)
@@ -174,6 +176,8 @@ def _beside(
         missing = np.flatnonzero((found < 0).any(0))
         point, k = pairs_within(xy[missing], xy[candidates], radius)
         point = missing[point]
+        own = layer[candidates[k]] == layer[point]
+        point, k = point[own], k[own]
         x, y = (xy[candidates[k]] - xy[point]).T
         along, across = _turned(x, y, yaw[point])
         apart = np.abs(across) + 0.1 * np.abs(along)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from phase_sumo.bridge.maps.lanelet2 import read_road
-from phase_sumo.bridge.maps.road_lines import road_lines
+from phase_sumo.bridge.maps.road_model import road_model
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.scene_scores import Scores, score, table
 from phase_sumo.evaluate.zero_shot import (
@@ -26,9 +26,7 @@ from phase_sumo.logs.recording import Recording, Window
 from phase_sumo.logs.sources import open_sources
 from phase_sumo.logs.windows import windows
 from phase_sumo.policy.checkpoint import Policy
-from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
-from phase_sumo.sim.road_build import build_road_map
 from phase_sumo.sim.road_map import RoadMap, merge
 from phase_sumo.studies.log_rollout import roll_out_all
 
@@ -133,7 +131,7 @@ def _scenes(
 
 
 def _road_map(network: LaneNetwork) -> RoadMap:
-    return build_road_map(road_lines(network), build_lane_graph(network))
+    return road_model(network).map
 
 
 def _idm(chosen: Sequence[Window], seed: int, report: Callable[[float, str], None]) -> dict[int, Recording]:

@@ -16,6 +16,7 @@ from phase_sumo.bridge.fleet.drivers import Driver, Drivers
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.fleet import Fleet
 from phase_sumo.bridge.fleet.parameters import Choice
+from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.fleet.table import STATE, TASK, VehicleTable
 from phase_sumo.bridge.sumo.conventions import ShapeRow
@@ -120,7 +121,7 @@ def record(
         scene = Scene(session, edges)
         monitor = ContactMonitor(scene.events)
         drivers = Drivers(Recorder(driver, scene.table, kept))
-        fleet = Fleet(scene, network, drivers, choice or Choice(alpha=0.8, time_gap=0.0))
+        fleet = Fleet(scene, Road(network), drivers, choice or Choice(alpha=0.8, time_gap=0.0))
         while True:
             session.step()
             time = session.time

@@ -5,6 +5,7 @@ Between vehicles, and of PHASE vehicles with the road edge.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,6 @@ from phase_sumo.sim.vehicles import boxes
 APART = 1.0  # s without overlap, or off the road edge, that end a contact
 STANDING = 0.5  # m/s, at most, of vehicles that have come to rest
 WRECK_SECONDS = 10.0  # s at rest in each other after which two vehicles are a wreck
-CROSSING = np.radians(60.0)  # headings further apart are on different levels of an interchange
 
 
 @dataclass
@@ -39,12 +39,12 @@ class _Contact:
 class ContactMonitor:
     """Finds overlaps of all vehicles in a table and joins them into contacts.
 
-    The network is flat, so vehicles whose headings differ by more than 60 degrees are taken to be on
-    different levels; head-on contact does not happen on one carriageway.
+    The network is flat: vehicles on roads that cross without a common junction do not touch.
     """
 
-    def __init__(self, log: EventLog) -> None:
-        self._log = log
+    def __init__(self, log: EventLog, touching: Callable[[str, str], bool] | None = None) -> None:
+        """``touching`` tells of two vehicle ids whether their roads lie on one level there."""
+        self._log, self._touching = log, touching
         self._open: dict[tuple[str, str], _Contact] = {}
 
     def update(self, table: VehicleTable, time: float, types: dict[str, str]) -> list[Event]:
@@ -54,6 +54,8 @@ class ContactMonitor:
             pair = (table.ids[i], table.ids[j])
             contact = self._open.get(pair)
             if contact is None:
+                if self._touching and not self._touching(*pair):
+                    continue
                 new.append(self._log.add(event))
                 contact = self._open[pair] = _Contact(event, time, time, time)
             contact.last = time
@@ -84,9 +86,8 @@ def _overlaps(table: VehicleTable, time: float, types: dict[str, str]):
     near &= owner[first] < owner[second]
     first, second = torch.from_numpy(first[near]), torch.from_numpy(second[near])
     a, b = box[:, first], box[:, second]
-    level = a[2] * b[2] + a[3] * b[3] > np.cos(CROSSING)
     found: dict[tuple[int, int], Event] = {}
-    for k in torch.nonzero(boxes_overlap(a, b) & level).flatten().tolist():
+    for k in torch.nonzero(boxes_overlap(a, b)).flatten().tolist():
         i, j = int(owner[first[k]]), int(owner[second[k]])
         if (i, j) not in found:
             middle = 0.5 * (a[:2, k] + b[:2, k])
@@ -151,14 +152,14 @@ class RoadEdgeMonitor:
         if not len(rows):
             return
         towing = self._table["trailer_length"][rows] > 0
-        rows = np.r_[rows[towing], rows[~towing]]  # those with a second box to test come first
 
         def own(values: torch.Tensor) -> torch.Tensor:
-            return values[:, torch.from_numpy(rows)]
+            return values[0, torch.from_numpy(rows), None]
 
         box = boxes(self._table.shape().map(own), self._table.state().map(own))
-        touching, _ = road_contacts(box, self._road.map, torch.zeros(1, dtype=torch.long), int(towing.sum()))
-        for row in rows[touching[0].numpy()].tolist():
+        layer = torch.from_numpy(np.where(node[rows] >= 0, self._road.layer[node[rows]], 0))
+        touching, _ = road_contacts(box, self._road.map, layer, int(towing.any()))
+        for row in rows[touching[:, 0].numpy()].tolist():
             member = members[self._table.ids[row]]
             if member.edge_event is None or time - member.edge_contact > APART:
                 off = "off the road" if node[row] < 0 else "contact"

@@ -99,7 +99,7 @@ class Controller:
     ) -> None:
         self._road, self._table, self._drivers, self._steps = road, table, drivers, steps
         self._speeds, self._planner = speeds, planner
-        self._map_index = torch.zeros(1, dtype=torch.long)
+        self._node = np.zeros(0, np.int64)  # at the last decision
         self._seen: list[Tensor] = []  # view and direction by route
         self.cpu = 0.0
         self.decisions = 0
@@ -127,6 +127,7 @@ class Controller:
             now = time + k * steps.seconds
             decides = steps.decides(now)
             if decides:
+                self._node = node
                 occupancy = Occupancy(self._road, table, node)
                 if k:  # those of the first move were set when SUMO's step was followed
                     self._speeds.update(node, self._planner.beside(node), occupancy, members)
@@ -141,11 +142,11 @@ class Controller:
             table[name][others] = values
         return node
 
-    def track(self, node: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Nodes of the front bumpers, updated for some rows."""
+    def track(self, node: np.ndarray, rows: np.ndarray, piece: np.ndarray | None = None) -> np.ndarray:
+        """Nodes of the front bumpers, updated for some rows; ``piece`` as in `Road.track`."""
         x, y = self._table.front
         node = node.copy()
-        node[rows], _ = self._road.track(node[rows], x[rows], y[rows], self._table["yaw"][rows])
+        node[rows], _ = self._road.track(node[rows], x[rows], y[rows], self._table["yaw"][rows], piece)
         return node
 
     @torch.no_grad()
@@ -176,7 +177,8 @@ class Controller:
         index, mask = self._neighbours(rows, driver.sim)
         others = every.map(lambda values: values[0, index])
         road = self._road.map
-        cell = road.cell(self._map_index, state.x.unsqueeze(0), state.y.unsqueeze(0)).squeeze(0)
+        layer = np.where(self._node[rows] >= 0, self._road.layer[self._node[rows]], 0)
+        cell = road.cell(torch.from_numpy(layer), state.x, state.y)
         by_route, yaw = (values[driven] for values in self._seen)
         view = torch.where(by_route >= 0, by_route, road.cell_view[cell])
         yaw = torch.where(by_route >= 0, yaw, road.cell_yaw[cell])
@@ -203,10 +205,10 @@ class Controller:
         return replace(sim, dt=self._steps.seconds)
 
     def _neighbours(self, rows: np.ndarray, sim: SimConfig) -> tuple[Tensor, Tensor]:
-        """As `neighbours.nearest`, for some rows, without traffic that runs in another direction.
+        """As `neighbours.nearest`, for some rows, without traffic on other roads.
 
         Training maps are single carriageways; the opposite one and roads on other levels would only take
-        the places of the vehicles that matter.
+        the places of the vehicles that matter. A vehicle that is on no lane is told by its direction.
 
         Returns:
             index of the neighbours' rows and mask, both [len(rows), K].
@@ -221,9 +223,9 @@ class Controller:
         own, other = rows[first], active[second]
         dx, dy = x[own] - x[other], y[own] - y[other]
         squared = dx * dx + dy * dy
-        same_way = np.cos(yaw[own] - yaw[other]) >= SAME_WAY
-        seen = np.flatnonzero((squared < sim.neighbour_range**2) & same_way & (own != other))
-        first, other, squared = first[seen], other[seen], squared[seen]
+        near = np.flatnonzero((squared < sim.neighbour_range**2) & (own != other))
+        near = near[self._on_one_road(own[near], other[near])]
+        first, other, squared = first[near], other[near], squared[near]
         # one number to sort by, distance before row: the bits of floats >= 0 rise with their value
         key = squared.view(np.uint32).astype(np.uint64) << np.uint64(32) | other.astype(np.uint64)
         count = np.bincount(first, minlength=len(rows))
@@ -233,3 +235,11 @@ class Controller:
         mask = ordered != NOBODY
         index = np.where(mask, ordered & LOW_BITS, 0).astype(np.int64)
         return torch.from_numpy(index), torch.from_numpy(mask)
+
+    def _on_one_road(self, own: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """[n] whether the vehicle in a row sees the one in another."""
+        a, b = self._node[own], self._node[other]
+        piece, yaw = self._road.piece, self._table["yaw"]
+        known = (a >= 0) & (b >= 0)
+        same_way = np.cos(yaw[own] - yaw[other]) >= SAME_WAY
+        return np.where(known, self._road.levels.seen(piece[a], piece[b]), same_way)

@@ -23,7 +23,6 @@ from phase_sumo.bridge.fleet.route_views import RouteLanes
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.fleet.target_speeds import SpeedLimits, TargetSpeeds
 from phase_sumo.bridge.sumo.session import bare
-from phase_sumo.sim.lanes import LaneNetwork
 
 HAND_BACK_TIME, HAND_BACK_ROOM = 3.5, 30.0  # s, at least m, before the observed road's end: SUMO takes over
 KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer to a lane
@@ -39,7 +38,7 @@ class Fleet:
     def __init__(
         self,
         scene: Scene,
-        network: LaneNetwork,
+        road: Road,
         drivers: Drivers,
         choice: Choice,
         publish_hitch: bool = False,
@@ -51,12 +50,12 @@ class Fleet:
         """
         self._steps = Steps.fit(scene.session.step_length, drivers.dt)
         self._scene, self._table, self._api = scene, scene.table, scene.api
-        self._road = Road(network)
+        self._road = road
         # SUMO crashes when a calibrator takes out a vehicle that was told to move: SUMO drives there
         calibrator = self._api.calibrator
         self._road.edges -= {calibrator.getEdgeID(name) for name in calibrator.getIDList()}
         self._planner = GoalPlanner(self._road, scene.table)
-        self._limits = SpeedLimits(self._api, network)
+        self._limits = SpeedLimits(self._api, road.network)
         self._speeds = TargetSpeeds(self._road, scene.table, self._limits.values)
         self._controller = Controller(
             self._road, scene.table, drivers, self._steps, self._speeds, self._planner
@@ -171,7 +170,21 @@ class Fleet:
         # PHASE vehicles are where they were found after their move
         rows = np.flatnonzero(self._table.active & ~(self._table.controlled & (self._node >= 0)))
         if len(rows):
-            self._node = self._controller.track(self._node, rows)
+            self._node = self._controller.track(self._node, rows, self._pieces(rows))
+
+    def _pieces(self, rows: IntArray) -> IntArray:
+        """Where SUMO says that vehicles are which are not found yet, -1 for any place."""
+        result = np.full(len(rows), -1)
+        for k in np.flatnonzero((self._node[rows] < 0) & ~self._table.controlled[rows]).tolist():
+            vehicle = self._table.ids[rows[k]]
+            position = float(self._api.vehicle.getLanePosition(vehicle))
+            result[k] = self._road.levels.of_lane(self._scene.lane_of.get(vehicle, ""), position)
+        return result
+
+    def piece(self, vehicle: str) -> int:
+        """The piece of road, see `Levels`, that one of our vehicles is on; -1 for others."""
+        node = int(self._node[self._table.row_of[vehicle]]) if vehicle in self._members else -1
+        return int(self._road.piece[node]) if node >= 0 else -1
 
     def _adopt(self) -> bool:
         """Whether there are new members."""

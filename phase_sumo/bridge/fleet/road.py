@@ -6,12 +6,11 @@ import numpy as np
 
 from phase_sumo.arrays import BoolArray, FloatArray, IntArray
 from phase_sumo.bridge.fleet.route_views import RouteViews
-from phase_sumo.bridge.maps.road_lines import road_lines
+from phase_sumo.bridge.maps.levels import Levels
+from phase_sumo.bridge.maps.road_model import road_model
 from phase_sumo.sim.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, curvature, lane_speeds
-from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.near import pairs_within
-from phase_sumo.sim.road_build import build_road_map
 from phase_sumo.sim.road_map import RoadMap
 
 MATCH_RADIUS = 6.0  # m, farther from any lane centre is off the road
@@ -26,7 +25,9 @@ class Road:
     """A lane network with its graph; nodes are about 1 m apart, so node counts stand for metres.
 
     Attributes:
-        network, graph, map: lanes, lane graph, road map of them, which grows with the routes' ``views``.
+        network, levels: lanes, and which of them lie on one road.
+        graph, map: lane graph and road map, which grows with the routes' ``views``.
+        piece, layer: [V] piece of road, see `Levels`, and layer of the map of each node.
         first, count: [L] node range of each lane.
         metres: [L] geometric length.
         edges: ids of the edges that PHASE may drive on, at first all whose lanes are kept and nowhere turn in
@@ -35,11 +36,12 @@ class Road:
         curve_speed: [2, V] m/s for the curves ahead in the lane, of cars and of trucks.
     """
 
-    def __init__(self, network: LaneNetwork) -> None:
-        self.network = network
-        self.graph = build_lane_graph(network)
-        lines = road_lines(network)
-        self.views = RouteViews(lines, self.graph, build_road_map(lines, self.graph))
+    def __init__(self, network: LaneNetwork, levels: Levels | None = None) -> None:
+        self.network, self.levels = network, levels or Levels(network)
+        model = road_model(network, self.levels)
+        self.graph, self.layer = model.graph, model.layer
+        self.piece = self.levels.of_nodes(self.graph)
+        self.views = RouteViews(model, self.levels, self.piece)
         self.count = np.bincount(self.graph.node_lane, minlength=len(network.lanes))
         self.first = np.concatenate(([0], np.cumsum(self.count)[:-1]))
         self.metres = np.array([float(np.hypot(*np.diff(c.points, axis=0).T).sum()) for c in network.lanes])
@@ -63,9 +65,21 @@ class Road:
         return int(node - self.first[self.graph.node_lane[node]])
 
     def track(
-        self, node: IntArray, x: FloatArray, y: FloatArray, yaw: FloatArray
+        self,
+        node: IntArray,
+        x: FloatArray,
+        y: FloatArray,
+        yaw: FloatArray,
+        piece: IntArray | None = None,
     ) -> tuple[IntArray, FloatArray]:
         """The node nearest to each position, searched from the last one (-1: unknown).
+
+        Nobody gets to another level: who is lost is looked for on the road that the last node lies on.
+
+        Args:
+            node: [n].
+            x, y, yaw: [n] m and rad.
+            piece: [n] of road that unknown ones are on, -1 for any.
 
         Returns:
             node [n], -1 off the road, and the distance to it in m.
@@ -87,7 +101,8 @@ class Road:
         lost = ~known | (best > REMATCH)
         if lost.any():
             here = here.copy()
-            here[lost] = self._search(at[lost], yaw[lost])
+            near = np.where(known, self.piece[here], -1 if piece is None else piece)
+            here[lost] = self._search(at[lost], yaw[lost], near[lost])
             best[lost] = np.where(
                 here[lost] >= 0, self._distance(np.maximum(here[lost], 0), at[lost]), np.inf
             )
@@ -114,11 +129,12 @@ class Road:
     def _distance(self, node: IntArray, at: FloatArray) -> FloatArray:
         return np.hypot(*(self.graph.node_xy[node] - at).T).astype(np.float64)
 
-    def _search(self, at: FloatArray, yaw: FloatArray) -> IntArray:
+    def _search(self, at: FloatArray, yaw: FloatArray, piece: IntArray) -> IntArray:
         found = np.full(len(at), -1, np.int64)
         query, node = pairs_within(at, self.graph.node_xy, MATCH_RADIUS)
         turn = np.abs(np.remainder(self.graph.node_yaw[node] - yaw[query] + np.pi, 2 * np.pi) - np.pi)
-        use = turn < MATCH_YAW
+        on = piece[query]
+        use = (turn < MATCH_YAW) & ((on < 0) | self.levels.touching(on, self.piece[node]))
         query, node, turn = query[use], node[use], turn[use]
         cost = np.hypot(*(self.graph.node_xy[node] - at[query]).T) + YAW_COST * turn
         order = np.lexsort((cost, query))

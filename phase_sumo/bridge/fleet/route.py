@@ -45,7 +45,7 @@ def route_lanes(road: Road, edges: Sequence[str], truck: bool) -> RouteLanes:
     """
     lanes = road.network.lanes
     size = len(lanes)
-    changes, room = np.full(size, np.inf), np.zeros(size)
+    changes, room, rest = np.full(size, np.inf), np.zeros(size), road.metres.copy()
     onward, side = np.full(size, -1, np.int64), np.zeros(size, np.int64)
     by_edge: dict[str, list[int]] = {}
     for i, lane in enumerate(lanes):
@@ -58,8 +58,9 @@ def route_lanes(road: Road, edges: Sequence[str], truck: bool) -> RouteLanes:
         for i in here:
             _extend(road, i, changes, room, onward)
         _sideways(road, here, changes, side)
+        _add_up(road, here, onward, rest)
     view = road.views.of(onward, np.isfinite(changes))
-    return RouteLanes(changes, room, onward, side, _exit_speeds(road, onward, truck), view)
+    return RouteLanes(changes, room, onward, side, _exit_speeds(road, onward, truck), rest, view)
 
 
 def follow_lanes(road: Road) -> RouteLanes:
@@ -73,6 +74,7 @@ def follow_lanes(road: Road) -> RouteLanes:
         onward,
         np.zeros(size, np.int64),
         speed,
+        np.array([_way_out(road, onward, i) for i in range(size)]),
         np.zeros((size, 3), np.int64),
     )
 
@@ -117,6 +119,28 @@ def _sideways(road: Road, here: list[int], changes: FloatArray, side: IntArray) 
             for sign, j in ((1, lanes[i].left), (-1, lanes[i].right)):
                 if j in allowed and changes[j] < changes[i]:
                     side[i] = sign
+
+
+def _add_up(road: Road, here: list[int], onward: IntArray, rest: FloatArray) -> None:
+    """Metres to the end of the route: a lane that ends before, such as an acceleration lane, is left in time."""
+    for i in here:
+        j = int(onward[i])
+        if j >= 0:
+            if road.network.lanes[j].connector:
+                rest[j] = road.metres[j] + rest[onward[j]]
+            rest[i] = road.metres[i] + rest[j]
+    going_on = [rest[i] for i in here if onward[i] >= 0]
+    if going_on:
+        rest[[i for i in here if onward[i] < 0]] = max(going_on)
+
+
+def _way_out(road: Road, onward: IntArray, lane: int) -> float:
+    """Metres from a lane's start until the way ``onward`` ends."""
+    total, seen = 0.0, set[int]()
+    while lane >= 0 and lane not in seen:
+        seen.add(lane)
+        total, lane = total + float(road.metres[lane]), int(onward[lane])
+    return total
 
 
 def ahead(road: Road, route: RouteLanes, node: int, distance: float) -> Place:
@@ -181,12 +205,6 @@ def path(road: Road, route: RouteLanes, node: int, length: float) -> IntArray:
 
 
 def remaining(road: Road, route: RouteLanes, node: int) -> float:
-    """m along the route from the node to the end of the stretch, by ``onward`` alone."""
+    """m from the node to the end of the stretch, lane changes included."""
     lane = int(road.graph.node_lane[node])
-    total = float(road.count[lane] - 1 - road.offset(node))
-    for _ in range(len(road.count)):
-        lane = int(route.onward[lane])
-        if lane < 0:
-            break
-        total += float(road.metres[lane])
-    return total
+    return float(route.rest[lane]) - 1.0 - road.offset(node)

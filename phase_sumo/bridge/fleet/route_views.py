@@ -1,9 +1,9 @@
 """What vehicles see where a place does not tell which road is theirs: that along their own route.
 
 A place of the road map shows the road straight on from the lane nearest to it. Before a fork that may be the
-branch that a route does not take, and behind it, while the branches still lie over each other, too; beside or
-over a road in another direction, that road. There every route has views of its own, from the nodes of its
-lanes along its own way.
+branch that a route does not take, and behind it, while the branches are near each other, too; beside, over or
+under another road, that road. There every route has views of its own, from the nodes of its lanes along its
+own way.
 """
 
 from __future__ import annotations
@@ -18,16 +18,15 @@ from numpy.typing import NDArray
 
 from phase_sumo.arrays import FloatArray, IntArray
 from phase_sumo.bridge.fleet.table import VehicleTable
-from phase_sumo.sim.lane_graph import LaneGraph
+from phase_sumo.bridge.maps.levels import Levels
+from phase_sumo.bridge.maps.road_model import RoadModel
 from phase_sumo.sim.near import pairs_within
-from phase_sumo.sim.road_build import RoadLine, RoadPoints, road_points, view_rows
-from phase_sumo.sim.road_map import RoadMap
+from phase_sumo.sim.road_build import RoadPoints, road_points, view_rows
 from phase_sumo.sim.road_view import RoadView
 
 AHEAD = 100  # m before a fork from which the branch is in sight
-BEHIND = 60  # m behind a fork over which the branches may be taken for one another
-BESIDE = 6.0  # m between centres of lanes in different directions that may be taken for one another
-SAME_WAY = 0.5  # cosine of the angle between directions that are the same
+BESIDE = 6.0  # m between centres of lanes of different roads that may be taken for one another
+EVERY = 3  # nodes of the other lanes that are looked at
 GROWTH = 1.5  # of the table when it is full
 
 
@@ -40,6 +39,7 @@ class RouteLanes:
         room: m from the lane's start that can be driven without any change, inf when none is needed.
         onward: lane to take at the lane's end, -1 where the route or the lane ends.
         exit_speed: m/s at the lane's end for the curves that follow.
+        rest: m from the lane's start to the end of the route, lane changes included.
         side: +1 when the lane to the left needs fewer changes, -1 for the right, 0 for neither.
         view: [L, 3] nodes first, end and row of the road map's view for the first, see `RouteViews`.
     """
@@ -49,6 +49,7 @@ class RouteLanes:
     onward: IntArray
     side: IntArray
     exit_speed: FloatArray
+    rest: FloatArray
     view: IntArray
 
 
@@ -59,18 +60,18 @@ class RouteViews:
         map: the road map; its table of views grows with the routes.
     """
 
-    def __init__(self, lines: list[RoadLine], graph: LaneGraph, road_map: RoadMap) -> None:
-        self.map = road_map
-        self._lines, self._graph = lines, graph
+    def __init__(self, model: RoadModel, levels: Levels, piece: IntArray) -> None:
+        """``piece`` [V] is what `Levels` calls each node's place."""
+        self.map, self._graph, self._model = model.map, model.graph, model
+        graph = model.graph
         self._first = np.flatnonzero(np.diff(graph.node_lane, prepend=-1)).astype(np.int64)
         self._count = np.bincount(graph.node_lane).astype(np.int64)
         self._last = self._first + self._count - 1
         ways = graph.successor[self._last].astype(np.int64)
         self._straight = np.where(ways[:, 0] >= 0, graph.node_lane[ways[:, 0]], -1)
-        self._forks = ways[:, 1] >= 0
-        self._contrary = self._beside_others()
+        self._unclear = self._beside_others(levels, piece)
         self._known: dict[tuple[int, ...], tuple[int, int, int]] = {}
-        self._rows = len(road_map.view)
+        self._rows = len(model.map.view)
 
     def of(self, onward: IntArray, on_route: NDArray[np.bool_]) -> IntArray:
         """Make what a route needs.
@@ -127,7 +128,6 @@ class RouteViews:
         self, onward: IntArray, lanes: IntArray
     ) -> Iterator[tuple[int, tuple[int, ...], tuple[int, int]]]:
         """Lanes with the lanes that follow within sight, and their nodes [first, end) with own views."""
-        behind = self._behind(onward, lanes)
         for lane in lanes.tolist():
             first, count = int(self._first[lane]), int(self._count[lane])
             ahead, metres, turns = [], 0, AHEAD
@@ -138,35 +138,22 @@ class RouteViews:
                 at = int(onward[at])
                 ahead.append(at)
                 metres += int(self._count[at])
-            begin, end = self._contrary[lane].tolist()
+            begin, end = self._unclear[lane].tolist()
             if turns < AHEAD:
                 begin, end = min(begin, max(count - (AHEAD - turns), 0)), count
-            if behind[lane] < BEHIND:
-                begin, end = 0, max(end, min(count, BEHIND - behind[lane]))
             if begin < end:
                 yield lane, tuple(ahead), (first + begin, first + end)
 
-    def _beside_others(self) -> IntArray:
-        """[L, 2] first and end of each lane's nodes beside lanes in another direction, else count, 0."""
+    def _beside_others(self, levels: Levels, piece: IntArray) -> IntArray:
+        """[L, 2] first and end of each lane's nodes beside lanes that it does not lead to, else count, 0."""
         graph = self._graph
-        node, other = pairs_within(graph.node_xy, graph.node_xy, BESIDE)
-        node = node[np.cos(graph.node_yaw[node] - graph.node_yaw[other]) < SAME_WAY]
+        node, other = pairs_within(graph.node_xy, graph.node_xy[::EVERY], BESIDE)
+        node = node[~levels.in_line(piece[node], piece[EVERY * other])]
         lane = graph.node_lane[node]
         result = np.stack((self._count, np.zeros_like(self._count)), 1)
         np.minimum.at(result[:, 0], lane, node - self._first[lane])
         np.maximum.at(result[:, 1], lane, node - self._first[lane] + 1)
         return result
-
-    def _behind(self, onward: IntArray, lanes: IntArray) -> dict[int, int]:
-        """Metres from the last fork to each lane's begin, at least `BEHIND` for none."""
-        behind = dict.fromkeys(lanes.tolist(), BEHIND)
-        for lane in lanes[self._forks[lanes]].tolist():
-            metres, at = 0, int(onward[lane])
-            while metres < BEHIND and at >= 0:
-                behind[at] = min(behind.get(at, BEHIND), metres)
-                metres += int(self._count[at])
-                at = int(onward[at])
-        return behind
 
     def _add(self, nodes: IntArray, route: tuple[IntArray, IntArray]) -> None:
         seen = self._view.points(nodes, route)
@@ -181,9 +168,9 @@ class RouteViews:
 
     @cached_property
     def _points(self) -> RoadPoints:
-        return road_points(self._lines, self._graph)
+        return road_points(self._model.lines, self._graph, self._model.layer)
 
     @cached_property
     def _view(self) -> RoadView:
         points = self._points
-        return RoadView(self._graph, points.xy, points.kind, points.of_node)
+        return RoadView(self._graph, points.xy, points.kind, points.of_node, points.layer)

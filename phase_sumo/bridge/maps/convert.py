@@ -21,15 +21,14 @@ from phase_sumo.arrays import FloatArray, IntArray
 from phase_sumo.bridge.maps.import_map import read_map
 from phase_sumo.bridge.maps.line_geometry import arc_length
 from phase_sumo.bridge.maps.net_xml import network_name
-from phase_sumo.bridge.maps.road_lines import road_lines
+from phase_sumo.bridge.maps.road_model import road_model
 from phase_sumo.bridge.maps.stretches import cut
 from phase_sumo.config import POOLS, ScenarioConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.bundle import MapBundle, bundle_key, load_if_current, load_key, save_bundle
-from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
+from phase_sumo.sim.lane_graph import LaneGraph
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.pool import build_pool
-from phase_sumo.sim.road_build import build_road_map
 
 KINK = 0.3  # m sideways within 1 m of path that nothing on wheels follows
 TURN = 0.125  # rad/m, a circle of 8 m: what the rear axle of a tractor with a semitrailer can still drive
@@ -76,10 +75,13 @@ Draw = Callable[[MapBundle, Path], None]
 def build_bundle(network: LaneNetwork, scenario: ScenarioConfig | None = None, seed: int = 0) -> MapBundle:
     """Lane graph, road map and one start-goal pool per regime."""
     scenario = scenario or ScenarioConfig(regimes=POOLS)
-    graph = build_lane_graph(network)
-    road_map = build_road_map(road_lines(network), graph)
-    pools = tuple(build_pool(graph, regime, scenario.max_lane_changes, seed) for regime in scenario.regimes)
-    return MapBundle(network.name, road_map, graph, pools, bundle_key(network, scenario, seed), network.geo)
+    road = road_model(network)
+    pools = tuple(
+        build_pool(road.graph, regime, scenario.max_lane_changes, seed) for regime in scenario.regimes
+    )
+    return MapBundle(
+        network.name, road.map, road.graph, pools, bundle_key(network, scenario, seed), network.geo
+    )
 
 
 def load_or_build(network: LaneNetwork, folder: str | Path, seed: int = 0) -> MapBundle:

@@ -96,7 +96,7 @@ SLACK = 0.15  # stretches by which a cut may move
 
 
 @dataclass(frozen=True)
-class _Piece:
+class Piece:
     """A part of an edge, as shares of its length, and the section of carriageway that it belongs to."""
 
     section: int
@@ -121,17 +121,17 @@ def cut(network: LaneNetwork, stretch: float) -> list[LaneNetwork]:
     if max(road.length for road in roads) <= LONG * stretch and size <= WIDE * stretch:
         return [network]
     pieces, joined = _sections(roads, stretch)
-    return _networks(network, _edge_pieces(pieces, joined))
+    return parts(network, _edge_pieces(pieces, joined))
 
 
-def _sections(roads: list[Carriageway], stretch: float) -> tuple[dict[str, list[_Piece]], list[int]]:
+def _sections(roads: list[Carriageway], stretch: float) -> tuple[dict[str, list[Piece]], list[int]]:
     """Cut every carriageway.
 
     Returns:
         the pieces of every edge in driving order, and for each section the one it is joined to (itself for
         most; -1 for roads too short to be of use that meet no other).
     """
-    pieces: dict[str, list[_Piece]] = {}
+    pieces: dict[str, list[Piece]] = {}
     joined: list[int] = []
     for road in roads:
         before = [e for e in road.before if e in pieces and e not in road.edges]
@@ -187,24 +187,24 @@ def _nearest_clear(road: Carriageway, wanted: float, slack: float) -> tuple[int,
 
 
 def _share_out(
-    road: Carriageway, cuts: list[tuple[int, float]], section: int, pieces: dict[str, list[_Piece]]
+    road: Carriageway, cuts: list[tuple[int, float]], section: int, pieces: dict[str, list[Piece]]
 ) -> None:
     for k, edge in enumerate(road.edges):
         start = 0.0
         pieces[edge] = []
         for at in (share for e, share in cuts if e == k):
-            pieces[edge].append(_Piece(section, start, at))
+            pieces[edge].append(Piece(section, start, at))
             start, section = at, section + 1
         if start < 1.0:
-            pieces[edge].append(_Piece(section, start, 1.0))
+            pieces[edge].append(Piece(section, start, 1.0))
 
 
-def _edge_pieces(pieces: dict[str, list[_Piece]], joined: list[int]) -> dict[str, list[_Piece]]:
+def _edge_pieces(pieces: dict[str, list[Piece]], joined: list[int]) -> dict[str, list[Piece]]:
     """The same with sections numbered as stretches; neighbouring pieces of one stretch are one again."""
     number = {section: k for k, section in enumerate(sorted({s for s in joined if s >= 0}))}
-    result: dict[str, list[_Piece]] = {}
+    result: dict[str, list[Piece]] = {}
     for edge, parts in pieces.items():
-        kept: list[_Piece] = []
+        kept: list[Piece] = []
         for part in parts:
             stretch = number.get(joined[part.section], -1)
             if kept and kept[-1].section == stretch:
@@ -215,24 +215,25 @@ def _edge_pieces(pieces: dict[str, list[_Piece]], joined: list[int]) -> dict[str
     return result
 
 
-def _networks(network: LaneNetwork, pieces: dict[str, list[_Piece]]) -> list[LaneNetwork]:
+def parts(network: LaneNetwork, pieces: dict[str, list[Piece]]) -> list[LaneNetwork]:
+    """The network cut up: section k of the pieces of its edges becomes network k; negative ones are left out.
+
+    A connector whose edge is not among them goes with the lane that it leaves.
+    """
     lanes = network.lanes
     source = {b: a for a, b in network.successors if lanes[b].connector}
-    of_lane: list[list[_Piece]] = [
-        pieces[lane.edge]
-        if not lane.connector
-        # a connector goes with the lane that it leaves
-        else [_Piece(pieces[lanes[source[i]].edge][-1].section, 0.0, 1.0)]
+    of_lane: list[list[Piece]] = [
+        pieces.get(lane.edge) or [Piece(pieces[lanes[source[i]].edge][-1].section, 0.0, 1.0)]
         for i, lane in enumerate(lanes)
     ]
-    count = 1 + max(part.section for parts in of_lane for part in parts)
-    parts: list[list[tuple[int, _Piece]]] = [[] for _ in range(count)]
+    count = 1 + max(part.section for own in of_lane for part in own)
+    inside: list[list[tuple[int, Piece]]] = [[] for _ in range(count)]
     place: dict[tuple[int, float], int] = {}  # (lane, start) -> index in its stretch
     for i, own in enumerate(of_lane):
         for part in own:
             if part.section >= 0:
-                place[i, part.start] = len(parts[part.section])
-                parts[part.section].append((i, part))
+                place[i, part.start] = len(inside[part.section])
+                inside[part.section].append((i, part))
     following: list[list[tuple[int, int]]] = [[] for _ in range(count)]
     for a, b in network.successors:
         last, first = of_lane[a][-1], of_lane[b][0]
@@ -242,7 +243,7 @@ def _networks(network: LaneNetwork, pieces: dict[str, list[_Piece]]) -> list[Lan
     return [
         LaneNetwork(
             f"{network.name}_{k:0{digits}d}",
-            tuple(_part(lanes[i], part, place, of_lane) for i, part in parts[k]),
+            tuple(_part(lanes[i], part, place, of_lane) for i, part in inside[k]),
             tuple(following[k]),
             network.left_hand,
             geo=network.geo,
@@ -251,7 +252,7 @@ def _networks(network: LaneNetwork, pieces: dict[str, list[_Piece]]) -> list[Lan
     ]
 
 
-def _part(lane: Lane, part: _Piece, place: dict[tuple[int, float], int], of_lane: list[list[_Piece]]) -> Lane:
+def _part(lane: Lane, part: Piece, place: dict[tuple[int, float], int], of_lane: list[list[Piece]]) -> Lane:
     def beside(other: int) -> int:
         return place[other, part.start] if other >= 0 and part in of_lane[other] else -1
 

@@ -166,6 +166,8 @@ def _lane(
         allows_car=lane.car,
         allows_truck=lane.truck,
         positions=_positions(lane.length, line, own),
+        start=lane.start_node,
+        end=lane.end_node,
     )
 
 
@@ -255,4 +257,6 @@ def _connector_lane(c: Connector, lanes: list[Lane]) -> Lane:
         allows_truck=before.allows_truck and after.allows_truck,
         connector=True,
         parts=tuple((part, float(s)) for (part, _, _), s in zip(c.chain, starts, strict=False)),
+        start=before.end,
+        end=after.start,
     )
