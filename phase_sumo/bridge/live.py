@@ -19,7 +19,7 @@ from phase_sumo.bridge.fleet.parameters import Choice, Parameters
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.maps.levels import Levels
-from phase_sumo.bridge.maps.sumo_network import read_network
+from phase_sumo.bridge.maps.sumo_network import odd_lengths, read_network
 from phase_sumo.bridge.outputs.trailers import Trailers
 from phase_sumo.bridge.sumo.options import check_options
 from phase_sumo.bridge.sumo.session import Simulation
@@ -78,8 +78,8 @@ class PhaseFleet(StepListener):
         self.simulation = Simulation(api)
         network = read_network(option("net-file"), roads)
         edges = frozenset(lane.edge for lane in network.lanes if not lane.connector)
-        self.scene = Scene(self.simulation, edges)
-        self._levels = Levels(network)
+        self.scene = Scene(self.simulation, edges, network.origin)
+        self._levels, self._road_warnings = Levels(network), odd_lengths(network.warnings)
         self._contacts = ContactMonitor(self.scene.events, self._touching)
         self._trailers = Trailers(api, self.scene.table) if api.hasGUI() else None
         self._fleet: Fleet | None = None
@@ -283,6 +283,7 @@ class PhaseFleet(StepListener):
         found = [f"no vehicle of type {t!r} was inserted" for t in self.choice.types if t not in seen]
         found += [f"no vehicle {v!r} was inserted" for v in self.choice.explicit if v not in trips]
         wanted = self.choice.probability > 0 or self.choice.explicit
+        found += self._road_warnings
         if not trips:
             found.append("no vehicle was inserted: check the demand and its times")
         elif self._fleet and wanted and not any(t.adopted for t in trips.values()):

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from phase_sumo.arrays import FloatArray, IntArray
-from phase_sumo.sim.lanes import LaneNetwork
+from phase_sumo.sim.lanes import DECIMALS, LaneNetwork, away
 from phase_sumo.sim.vehicles import VehicleShape
 
 Kind = Literal["car", "rigid_truck", "articulated_truck"]
@@ -52,6 +52,16 @@ class Recording:
     width: FloatArray
     kind: tuple[Kind, ...]
     flags: tuple[frozenset[str], ...]
+
+    def near_origin(self) -> Recording:
+        """The same, moved to the origin if its road lies far from it: float32 is too coarse there."""
+        x, y = away(np.concatenate([lane.points for lane in self.network.lanes]))
+        if (x, y) == (0.0, 0.0):
+            return self
+        network = self.network.moved(-x, -y)
+        return replace(
+            self, network=network, x=np.round(self.x - x, DECIMALS), y=np.round(self.y - y, DECIMALS)
+        )
 
     def cut(self, rows: NDArray[np.int64], begin: int, end: int) -> Recording:
         """The vehicles ``rows`` alone, over the samples begin..end - 1; copies, none of this one is kept."""

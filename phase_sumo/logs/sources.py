@@ -65,7 +65,7 @@ def open_source(text: str, road: RoadReader | None = None) -> Iterator[Recording
     for asked, name in ((path, place), (map_path, map_place)):
         if asked is not None and not (name and asked.exists()):
             raise PhaseError(f"{text}: no such file or folder {name!r}; pass an existing one")
-    return READERS[kind](path, map_path, road)
+    return map(Recording.near_origin, READERS[kind](path, map_path, road))
 
 
 def _commonroad(path: Path, map_path: Path | None, road: RoadReader | None) -> Iterator[Recording]:

@@ -22,7 +22,7 @@ from phase_sumo.sim.lanes import GeoReference, LaneNetwork
 from phase_sumo.sim.pool import StartGoalPool
 from phase_sumo.sim.road_map import CELL_SIZE, POINTS_PER_CELL, SEGMENTS_PER_CELL, RoadMap
 
-FORMAT = "phase_sumo map bundle 7"  # count up whenever conversion writes something else
+FORMAT = "phase_sumo map bundle 8"  # count up whenever conversion writes something else
 LAYOUT = (CELL_SIZE, POINTS_PER_CELL, SEGMENTS_PER_CELL)  # a file with another grid does not fit the code
 
 

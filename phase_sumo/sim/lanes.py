@@ -5,12 +5,14 @@ The bridge fills these from SUMO networks; tests and toy roads fill them by hand
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+DECIMALS = 6  # of coordinates in m that are moved: then the same road is the same wherever it was
+FAR = 10_000.0  # m from the origin from where on coordinates are moved: float32 counts millimetres there
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,14 @@ class GeoReference:
     projection: str
     net_offset: str
 
+    def moved(self, x: float, y: float) -> GeoReference:
+        """That of coordinates to which x, y in m are added; an offset that is none stays as it is."""
+        try:
+            east, north = (float(v) for v in self.net_offset.split(",")[:2])
+        except ValueError:
+            return self
+        return replace(self, net_offset=f"{east + x!r},{north + y!r}")
+
 
 @dataclass(frozen=True)
 class LaneNetwork:
@@ -82,6 +92,7 @@ class LaneNetwork:
         left_hand: traffic drives on the left.
         warnings: what was left out or repaired while reading.
         geo: where the network lies on earth, if its file says so.
+        origin: m, what to add to get the coordinates of its file, from which far roads are moved: see `FAR`.
     """
 
     name: str
@@ -90,3 +101,19 @@ class LaneNetwork:
     left_hand: bool = False
     warnings: tuple[str, ...] = ()
     geo: GeoReference | None = None
+    origin: tuple[float, float] = (0.0, 0.0)
+
+    def moved(self, x: float, y: float) -> LaneNetwork:
+        """The same road with all points moved, and so what tells where it lies."""
+        by = np.array((x, y))
+        lanes = tuple(replace(lane, points=np.round(lane.points + by, DECIMALS)) for lane in self.lanes)
+        origin = (self.origin[0] - x, self.origin[1] - y)
+        return replace(self, lanes=lanes, geo=self.geo and self.geo.moved(x, y), origin=origin)
+
+
+def away(points: np.ndarray) -> tuple[float, float]:
+    """The middle of points [P, 2] some of which lie farther than `FAR` from the origin, else the origin."""
+    if len(points) == 0 or np.abs(points).max() <= FAR:
+        return 0.0, 0.0
+    x, y = 0.5 * (points.min(0) + points.max(0))
+    return float(x), float(y)

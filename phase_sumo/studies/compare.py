@@ -99,6 +99,7 @@ def compare(
     out = Path(out_dir)
     scenario = read_scenario(cfg, tuple(sumo_options))
     network = read_network(scenario.net, roads)
+    network = network.moved(*network.origin)  # as the vehicles' positions
     for stale in OUTPUTS:
         (out / stale).unlink(missing_ok=True)
     pairs = [(model, seed) for seed in numbers for model in chosen]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from phase_sumo.arrays import IntArray
+from phase_sumo.arrays import FloatArray, IntArray
 from phase_sumo.bridge.fleet.drivers import Member
 from phase_sumo.bridge.fleet.event_log import Event, EventLog
 from phase_sumo.bridge.fleet.road import Road
@@ -90,7 +90,7 @@ def _overlaps(table: VehicleTable, time: float, types: dict[str, str]):
     for k in torch.nonzero(boxes_overlap(a, b)).flatten().tolist():
         i, j = int(owner[first[k]]), int(owner[second[k]])
         if (i, j) not in found:
-            middle = 0.5 * (a[:2, k] + b[:2, k])
+            middle = table.origin + 0.5 * (a[:2, k] + b[:2, k]).double().numpy()
             parts = bool(towed[first[k]]), bool(towed[second[k]])
             found[i, j] = _event(table, (i, j), parts, middle, every[:, 0], time, types)
     return [(i, j, event) for (i, j), event in found.items()]
@@ -100,7 +100,7 @@ def _event(
     table: VehicleTable,
     pair: tuple[int, int],
     towed: tuple[bool, bool],
-    middle: torch.Tensor,
+    middle: FloatArray,
     body: torch.Tensor,
     time: float,
     types: dict[str, str],

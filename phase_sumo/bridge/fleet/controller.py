@@ -214,7 +214,7 @@ class Controller:
             index of the neighbours' rows and mask, both [len(rows), K].
         """
         table = self._table
-        x, y, yaw = table["x"], table["y"], table["yaw"]
+        x, y = table["x"], table["y"]
         active = np.flatnonzero(table.active)
         # some more than are in range, which float32 decides as in training
         first, second = pairs_within(

@@ -96,7 +96,7 @@ class EventLog:
                 table["yaw"][row],
                 table["length"][row] - table["rear_overhang"][row],
             )
-            event.x, event.y = map(float, at)
+            event.x, event.y = map(float, table.origin + at)
             event.speed = float(table["speed"][row])
             event.phase = bool(table.controlled[row])
         return self.add(event)

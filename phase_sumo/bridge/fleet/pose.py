@@ -28,6 +28,8 @@ class PoseWriter:
         self._move = bare(api, "vehicle", "moveToXY")
         self._set_speed = bare(api, "vehicle", "setSpeed")
         self._shapes: dict[str, np.ndarray] = {}
+        self._ids = [lane.id if not lane.parts else lane.parts[0][0] for lane in road.network.lanes]
+        self._crosses = road.levels.crossing[road.piece]
 
     def write(
         self, members: dict[str, Member], rows: IntArray, node: IntArray, front: FloatArray, time: float
@@ -42,14 +44,21 @@ class PoseWriter:
         """
         speed = self._table["speed"][rows].tolist()
         angle = angle_from_yaw(self._table["yaw"][rows])
-        move, set_speed = self._move, self._set_speed
+        crosses = ((node >= 0) & self._crosses[node]).tolist()
+        move, set_speed, (left, below) = self._move, self._set_speed, self._table.origin.tolist()
         places = zip(members.items(), front.tolist(), angle.tolist(), speed, strict=True)
         for k, ((vehicle, member), (x, y), heading, driven) in enumerate(places):
             if time < member.off_lane_until:
                 x, y = self._towards_lane((x, y), int(rows[k]), int(node[k]))
-            move(vehicle, "", -1, x, y, heading, MOVE, MATCH)
+            edge, index = self._told(int(node[k])) if crosses[k] else ("", -1)
+            move(vehicle, edge, index, x + left, y + below, heading, MOVE, MATCH)
             # else SUMO reports the bumper's mean speed along the lane, clamped to the limit
             set_speed(vehicle, driven)
+
+    def _told(self, node: int) -> tuple[str, int]:
+        """Edge and index of the lane for SUMO, which might take that of another level."""
+        edge, _, index = self._ids[int(self._road.graph.node_lane[node])].rpartition("_")
+        return (edge, int(index)) if edge and index.isdigit() else ("", -1)
 
     def _towards_lane(self, at: tuple[float, float], row: int, node: int) -> tuple[float, float]:
         """The position nearest to ``at`` that SUMO still counts as on the lane.
@@ -77,7 +86,8 @@ class PoseWriter:
 
     def _sumo_shape(self, lane: str) -> np.ndarray:
         if lane not in self._shapes:
-            self._shapes[lane] = np.array([p[:2] for p in self._api.lane.getShape(lane)], np.float64)
+            shape = np.array([p[:2] for p in self._api.lane.getShape(lane)], np.float64)
+            self._shapes[lane] = shape - self._table.origin
         return self._shapes[lane]
 
 

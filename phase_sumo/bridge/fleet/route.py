@@ -122,7 +122,7 @@ def _sideways(road: Road, here: list[int], changes: FloatArray, side: IntArray) 
 
 
 def _add_up(road: Road, here: list[int], onward: IntArray, rest: FloatArray) -> None:
-    """Metres to the end of the route: a lane that ends before, such as an acceleration lane, is left in time."""
+    """Metres to the end of the route: a lane that ends before (an acceleration lane) is left in time."""
     for i in here:
         j = int(onward[i])
         if j >= 0:

@@ -67,11 +67,16 @@ class Scene:
         events: what happened.
     """
 
-    def __init__(self, session: Simulation, observed_edges: frozenset[str] | None) -> None:
-        """``observed_edges`` None observes every road."""
+    def __init__(
+        self,
+        session: Simulation,
+        observed_edges: frozenset[str] | None,
+        origin: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """``observed_edges`` None observes every road; ``origin`` as in `VehicleTable`."""
         self.session = session
         self.api = session.api
-        self.table = VehicleTable()
+        self.table = VehicleTable(origin=origin)
         self.trips: dict[str, Trip] = {}
         self.facts: dict[str, VehicleFacts] = {}
         self.types: dict[str, str] = {}
@@ -188,7 +193,8 @@ class Scene:
         index = np.array(rows)
         yaw = yaw_from_angle(angle)
         table["yaw"][index[fresh]] = yaw[fresh]  # a trailer starts out straight
-        back_x, back_y = reference_from_front(x, y, yaw, overhang)
+        left, below = table.origin
+        back_x, back_y = reference_from_front(np.array(x) - left, np.array(y) - below, yaw, overhang)
         table.follow(index, back_x, back_y, yaw, np.array(speed), np.array(accel), self.session.step_length)
 
     def _is_observed(self, vehicle: str, lane: str, before: bool) -> bool:

@@ -25,10 +25,12 @@ class VehicleTable:
         active, controlled: [N] bool; controlled rows are moved by the policy, the others by SUMO.
         driver: [N] number of the policy that moves a controlled row, see `Drivers`.
         wanted_speed: [N] m/s that the driver of a controlled row would choose on a free road.
+        origin: [2] m, what to add to its positions to get SUMO's.
         arrays: name -> [N] (histories [N, 3]) values of `VehicleShape`, `VehicleState` and `Task`.
     """
 
-    def __init__(self, capacity: int = 32) -> None:
+    def __init__(self, capacity: int = 32, origin: tuple[float, float] = (0.0, 0.0)) -> None:
+        self.origin = np.array(origin)
         self.ids: list[str] = []
         self.row_of: dict[str, int] = {}
         self.active = np.zeros(0, bool)

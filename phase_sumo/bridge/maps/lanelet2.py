@@ -15,7 +15,7 @@ from phase_sumo.bridge.maps.import_map import read_map
 from phase_sumo.bridge.maps.net_xml import network_name, open_xml
 from phase_sumo.errors import PhaseError
 from phase_sumo.logs.recorded_roads import Strip, strip_road
-from phase_sumo.sim.lanes import Lane, LaneNetwork
+from phase_sumo.sim.lanes import LaneNetwork
 
 REMEDY = "download the map again"
 ROADS = (
@@ -46,7 +46,8 @@ def read_road(path: Path, origin: tuple[float, float] | None) -> LaneNetwork:
     network = read_map(path, "all")
     if path.name.removesuffix(".gz").endswith(".xodr") and network.geo is not None:
         # netconvert moves a map to positive coordinates
-        return _moved(network, *(-float(v) for v in network.geo.net_offset.split(",")[:2]))
+        x, y = (-float(v) for v in network.geo.net_offset.split(",")[:2])
+        return replace(network.moved(x, y), geo=None, origin=(0.0, 0.0))
     return network
 
 
@@ -211,10 +212,3 @@ def _beside(ways: tuple[str, ...], of_others: dict[str, list[int]]) -> int:
     """The lanelet that shares most of the ways, or -1."""
     shared = Counter(i for way in ways for i in of_others.get(way, ()))
     return shared.most_common(1)[0][0] if shared else -1
-
-
-def _moved(network: LaneNetwork, x: float, y: float) -> LaneNetwork:
-    def moved(lane: Lane) -> Lane:
-        return replace(lane, points=lane.points + np.array((x, y)))
-
-    return replace(network, lanes=tuple(moved(lane) for lane in network.lanes), geo=None)

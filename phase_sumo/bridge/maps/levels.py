@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -53,10 +53,8 @@ class Levels:
         self._after: list[set[int]] = [set() for _ in range(self.count)]
         self._before: list[set[int]] = [set() for _ in range(self.count)]
         links = {(int(last[self._edge[a]]), int(self._first[self._edge[b]])) for a, b in network.successors}
-        within = [
-            (p, p + 1) for k, n in zip(self._first, self._pieces, strict=True) for p in range(k, k + n - 1)
-        ]
-        for a, b in [*links, *within]:
+        within = set(range(self.count - 1)) - set(last.tolist())
+        for a, b in [*links, *((p, p + 1) for p in within)]:
             self._after[a].add(b)
             self._before[b].add(a)
         self._in_line, self._seen, self._touching = self._relations()
@@ -85,7 +83,7 @@ class Levels:
         return _holds(self._in_line, a * self.count + b)
 
     def seen(self, a: IntArray, b: IntArray) -> BoolArray:
-        """[n] whether drivers look for each other: they are in line, come from one fork or go to one merge."""
+        """[n] whether drivers look for each other: in line, behind one fork or before one merge."""
         return _holds(self._seen, a * self.count + b)
 
     def touching(self, a: IntArray, b: IntArray) -> BoolArray:
@@ -148,8 +146,8 @@ class Levels:
             other = by_ends.get((b, a), -1)
             for k in range(int(self._pieces[edge]) if other >= 0 else 0):
                 mirrored = int((1.0 - (k + 0.5) / self._pieces[edge]) * self._pieces[other])
-                for at in range(max(mirrored - 1, 0), min(mirrored + 2, int(self._pieces[other]))):
-                    pairs.append((int(self._first[edge]) + k, int(self._first[other]) + at))
+                beside = range(max(mirrored - 1, 0), min(mirrored + 2, int(self._pieces[other])))
+                pairs += [(int(self._first[edge]) + k, int(self._first[other]) + at) for at in beside]
         return pairs
 
     @cached_property
@@ -161,11 +159,9 @@ class Levels:
             little farther than those that belong to it.
         """
         layer = np.zeros(self.count, np.int64)
-        over, beside = self._overlaps()
+        (over, beside), crossing = self._overlaps, self.crossing
         if not len(over):
             return layer, np.ones((1, self.count), bool)
-        crossing = np.zeros(self.count, bool)
-        crossing[over.ravel()] = True
         together = [pair for pair in beside.tolist() if crossing[pair].all()]
         together += [(p, q) for p in np.flatnonzero(crossing).tolist() for q in self._after[p] if crossing[q]]
         cluster = _clusters(self.count, together)
@@ -197,6 +193,14 @@ class Levels:
                 waiting += glued[p]
         return result
 
+    @cached_property
+    def crossing(self) -> BoolArray:
+        """[P] pieces over or under another road."""
+        result = np.zeros(self.count, bool)
+        result[self._overlaps[0].ravel()] = True
+        return result
+
+    @cached_property
     def _overlaps(self) -> tuple[IntArray, IntArray]:
         """[n, 2] pieces that lie over each other on different levels, and [m, 2] alongside on one."""
         lines = Polylines.of([lane.points for lane in self._network.lanes])
@@ -225,8 +229,7 @@ class Levels:
             ends = np.flatnonzero(np.diff(pieces[first : first + count])) + 1
             bounds = [0, *ends.tolist(), count]
             cuts[self._network.lanes[i].edge] = [
-                Piece(0 if pieces[first + a] else -1, a / count, b / count)
-                for a, b in zip(bounds[:-1], bounds[1:], strict=True)
+                Piece(0 if pieces[first + a] else -1, a / count, b / count) for a, b in pairwise(bounds)
             ]
         return parts(self._network, cuts)[0]
 
@@ -253,7 +256,7 @@ def _clusters(count: int, together: list[tuple[int, int]]) -> IntArray:
 
 
 def _colours(apart: IntArray, size: IntArray) -> list[tuple[int, int]]:
-    """Clusters with layers: the largest first, each in the lowest one that no cluster ``apart`` [n, 2] has."""
+    """Clusters with layers: the largest first, each in the lowest that none of those ``apart`` [n, 2] has."""
     others: dict[int, set[int]] = {}
     for a, b in apart.tolist():
         others.setdefault(a, set()).add(b)

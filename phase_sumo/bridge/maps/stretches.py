@@ -247,6 +247,7 @@ def parts(network: LaneNetwork, pieces: dict[str, list[Piece]]) -> list[LaneNetw
             tuple(following[k]),
             network.left_hand,
             geo=network.geo,
+            origin=network.origin,
         )
         for k in range(count)
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -16,12 +17,15 @@ from phase_sumo.bridge.maps.freeway import freeway_edges, road_class
 from phase_sumo.bridge.maps.line_geometry import arc_length, heading, without_spikes, wrap
 from phase_sumo.bridge.maps.net_xml import DEFAULT_WIDTH, XmlLane, XmlNet, network_name, parse_net
 from phase_sumo.errors import PhaseError
-from phase_sumo.sim.lanes import Lane, LaneNetwork
+from phase_sumo.sim.lanes import Lane, LaneNetwork, away
 
 NARROWEST = 2.0  # m: no car fits on a lane narrower than this
 WIDEST = 20.0  # m
 TURNAROUND = 2.2, 20.0  # rad within m: a connection that turns back, which no vehicle of ours drives
 WIDEST_GAP = 500.0  # m: no junction is that large
+ODD_LENGTH = 0.2, 10.0  # share and m: lanes of one edge have one length, also where they turn
+ODD = "lanes have another length than their shape"
+NAMED = 5  # lanes in one warning
 LONGEST_CHAIN = 16  # internal lanes of one connection
 
 Lanes = dict[str, XmlLane]
@@ -64,7 +68,29 @@ def read_network(path: str | Path, keep: Literal["freeway", "all"] = "freeway") 
         kept = {k: v for k, v in kept.items() if k not in set(flat)}
         if not kept:
             raise PhaseError(f"{path}: no lane has an extent; write the network again with netconvert")
-    return _assemble(network_name(path), net, kept, drivable, lines, warnings)
+    network = _assemble(network_name(path), net, kept, drivable, lines, warnings + _odd_lengths(kept, lines))
+    x, y = away(np.concatenate([lane.points for lane in network.lanes]))
+    return network.moved(-x, -y) if (x, y) != (0.0, 0.0) else network
+
+
+def odd_lengths(warnings: Sequence[str]) -> list[str]:
+    """Those of a network's ``warnings`` that tell of lengths: they concern every run on it."""
+    return [text for text in warnings if ODD in text]
+
+
+def _odd_lengths(kept: Lanes, lines: Lines) -> list[str]:
+    """A warning that names the lanes whose length is not that of their shape."""
+    drawn = {k: float(arc_length(lines[k])[-1]) for k in kept}
+    odd = [k for k, m in drawn.items() if abs(kept[k].length - m) > max(ODD_LENGTH[0] * m, ODD_LENGTH[1])]
+    if not odd:
+        return []
+    odd.sort(key=lambda k: -abs(kept[k].length - drawn[k]))
+    named = ", ".join(f"{k} {kept[k].length:.0f} m, drawn {drawn[k]:.0f} m" for k in odd[:NAMED])
+    more = f", and {len(odd) - NAMED} more" if len(odd) > NAMED else ""
+    return [
+        f"{len(odd)} {ODD} ({named}{more}): SUMO's vehicles drive the "
+        "length and PHASE's the shape, so travel times there do not compare; correct length or shape"
+    ]
 
 
 def _drivable(net: XmlNet) -> Lanes:

@@ -54,10 +54,8 @@ class Recorder:
             (
                 np.full(len(rows), time),
                 np.array(number, np.int64),
-                *(
-                    table[name][rows].astype(np.float64)
-                    for name in ("x", "y", "yaw", "hitch", "speed", "accel")
-                ),
+                *(table[name][rows] + at for name, at in zip(("x", "y"), table.origin, strict=True)),
+                *(table[name][rows].astype(np.float64) for name in ("yaw", "hitch", "speed", "accel")),
                 np.array(lane, np.int64),
                 np.array(position),
                 np.array(lateral),

@@ -43,11 +43,12 @@ class Trailers:
 
 
 def outlines_of(table: VehicleTable, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-    """[n, 2, 4, 2] corners in m of the tractors and trailers of some rows."""
+    """[n, 2, 4, 2] corners in SUMO's m of the tractors and trailers of some rows."""
     box = boxes(table.shape(), table.state())[:, :, 0, torch.from_numpy(rows)].double().numpy()
     x, y, cos, sin, half_length, half_width = box.transpose(0, 2, 1)[..., None]
     ahead, left = half_length * CORNERS[:, 0], half_width * CORNERS[:, 1]
-    return np.stack((x + cos * ahead - sin * left, y + sin * ahead + cos * left), -1)
+    corners = np.stack((x + cos * ahead - sin * left, y + sin * ahead + cos * left), -1)
+    return corners + table.origin
 
 
 def _name(vehicle: str, part: str) -> str:
