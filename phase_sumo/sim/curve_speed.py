@@ -33,7 +33,7 @@ def lane_speeds(graph: LaneGraph, sideways: float) -> FloatArray:
     Returns:
         [V] m/s, up to `FASTEST`.
     """
-    speed = np.minimum(np.sqrt(sideways / np.maximum(curvature(graph), 1e-6)), FASTEST)
+    speed = np.minimum(np.sqrt(sideways / np.maximum(np.abs(graph.curvature(WINDOW)), 1e-6)), FASTEST)
     node = np.arange(len(speed))
     following = np.minimum(node + 1, graph.lane_end)  # a lane's nodes are numbered in driving direction
     gap = np.hypot(*(graph.node_xy[node] - graph.node_xy[following]).astype(np.float64).T)
@@ -62,22 +62,3 @@ def exit_speeds(first: FloatArray, metres: FloatArray, onward: IntArray) -> Floa
         if np.array_equal(slowed, speed):
             return speed
         speed = slowed
-
-
-def curvature(graph: LaneGraph) -> FloatArray:
-    """[V] |turn| in 1/m between the nodes `WINDOW` m before and behind, or as far as the road goes."""
-    ahead = graph.successor[:, 0].astype(np.int64)
-    behind = np.full(len(ahead), -1)
-    for successor in graph.successor.T[::-1]:
-        behind[successor[successor >= 0]] = np.flatnonzero(successor >= 0)
-    first, last = _walk(behind), _walk(ahead)
-    turn = np.abs(np.remainder(graph.node_yaw[last] - graph.node_yaw[first] + np.pi, 2 * np.pi) - np.pi)
-    return turn / (2.0 * WINDOW)
-
-
-def _walk(following: IntArray) -> IntArray:
-    """[V] where `WINDOW` steps lead from every node, or the end of the road before that."""
-    at = np.arange(len(following))
-    for _ in range(WINDOW):
-        at = np.where(following[at] >= 0, following[at], at)
-    return at

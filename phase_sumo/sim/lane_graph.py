@@ -21,8 +21,8 @@ COINCIDE = 0.5  # m: the last node of a lane stands for the first of the next on
 ABREAST = 1.75  # lane widths: nodes of adjacent lanes further apart are not abreast
 BEYOND = 1.1  # m along the lane, likewise: beside a lane's end, or its first node where that is left out
 ABREAST_ROUNDS = 4  # of sliding along the other lane
-BEND = 12  # nodes, about 25 m in all: more than the longest usual segment of a lane's polyline
-CURVATURE_SMOOTHING = 20  # passes of a three-node mean, a Gaussian of about 4 m
+BEND = 12  # m either way, more than the longest usual segment of a lane's polyline
+STEERED = 4  # m either way over which wheels follow the road
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,6 @@ class LaneGraph:
     Attributes:
         node_xy: [V, 2] float32, m.
         node_yaw: [V] float32, driving direction in rad.
-        node_curvature: [V] float32, 1/m, positive to the left.
         node_lane: [V] int32, index of the lane in the source `LaneNetwork`.
         node_position: [V] float32, SUMO lane position in m (0 at the lane's start, `length` at its end).
         node_truck: [V] bool, trucks are allowed.
@@ -43,7 +42,6 @@ class LaneGraph:
 
     node_xy: np.ndarray
     node_yaw: np.ndarray
-    node_curvature: np.ndarray
     node_lane: np.ndarray
     node_position: np.ndarray
     node_truck: np.ndarray
@@ -72,14 +70,27 @@ class LaneGraph:
 
     @cached_property
     def bend(self) -> np.ndarray:
-        """[V] size of the mean curvature over `BEND` nodes of the lane either way, 1/m.
+        """[V] size of the curvature over `BEND` m either way, 1/m."""
+        return np.abs(self.curvature(BEND))
+
+    @cached_property
+    def node_curvature(self) -> np.ndarray:
+        """[V] curvature that a vehicle at each node steers along, 1/m."""
+        return self.curvature(STEERED)
+
+    def curvature(self, window: int) -> FloatArray:
+        """[V] heading change per metre of road over ``window`` m either way, 1/m, positive to the left.
 
         Lanes are polylines, whose curvature sits in their corners; a vehicle drives the curve they stand for.
+        Where the road begins or ends within the window, the rest of it counts.
         """
-        total = np.concatenate(([0.0], np.cumsum(self.node_curvature, dtype=np.float64)))
-        node = np.arange(len(self.node_lane))
-        first, last = np.maximum(node - BEND, self.lane_start), np.minimum(node + BEND, self.lane_end)
-        return np.abs(total[last + 1] - total[first]) / (last + 1 - first)
+        ahead = self.successor[:, 0].astype(np.int64)
+        behind = np.full(len(ahead), -1)
+        for successor in self.successor.T[::-1]:
+            behind[successor[successor >= 0]] = np.flatnonzero(successor >= 0)
+        (first, before), (last, after) = _walked(behind, window), _walked(ahead, window)
+        turn = _wrap((self.node_yaw[last] - self.node_yaw[first]).astype(np.float64))
+        return turn / np.maximum(before + after, window)
 
     @cached_property
     def lane_start(self) -> np.ndarray:
@@ -123,7 +134,6 @@ def build_lane_graph(network: LaneNetwork) -> LaneGraph:
     return LaneGraph(
         node_xy=nodes.xy.astype(np.float32),
         node_yaw=nodes.yaw.astype(np.float32),
-        node_curvature=_curvature(nodes.xy, nodes.yaw, successor).astype(np.float32),
         node_lane=nodes.lane.astype(np.int32),
         node_position=nodes.position.astype(np.float32),
         node_truck=truck[nodes.lane],
@@ -220,18 +230,13 @@ def _abreast(network: LaneNetwork, nodes: _Nodes, beside: IntArray) -> NDArray[n
     return result
 
 
-def _curvature(xy: FloatArray, yaw: FloatArray, successor: NDArray[np.int32]) -> FloatArray:
-    """[V] heading change per metre to the next node, smoothed along the lanes."""
-    ahead = successor[:, 0].astype(np.int64)
-    has = ahead >= 0
-    ahead = np.where(has, ahead, np.arange(len(xy)))
-    behind = np.arange(len(xy))
-    behind[ahead[has]] = np.flatnonzero(has)
-    chord = np.maximum(np.hypot(*(xy[ahead] - xy[behind]).T), 0.5)
-    curvature = np.where(ahead != behind, _wrap(yaw[ahead] - yaw[behind]) / chord, 0.0)
-    for _ in range(CURVATURE_SMOOTHING):
-        curvature = (curvature[ahead] + curvature + curvature[behind]) / 3.0
-    return curvature
+def _walked(following: IntArray, steps: int) -> tuple[IntArray, IntArray]:
+    """[V] where ``steps`` steps lead from every node, or the road's end before, and how many they are."""
+    at, count = np.arange(len(following)), np.zeros(len(following), np.int64)
+    for _ in range(steps):
+        onward = following[at] >= 0
+        at, count = np.where(onward, following[at], at), count + onward
+    return at, count
 
 
 def _upstream(nodes: _Nodes, successor: NDArray[np.int32]) -> FloatArray:

@@ -8,7 +8,7 @@ from phase_sumo.arrays import BoolArray, FloatArray, IntArray
 from phase_sumo.bridge.fleet.route_views import RouteViews
 from phase_sumo.bridge.maps.levels import Levels
 from phase_sumo.bridge.maps.road_model import road_model
-from phase_sumo.sim.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, curvature, lane_speeds
+from phase_sumo.sim.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, WINDOW, lane_speeds
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.near import pairs_within
 from phase_sumo.sim.road_map import RoadMap
@@ -45,7 +45,7 @@ class Road:
         self.count = np.bincount(self.graph.node_lane, minlength=len(network.lanes))
         self.first = np.concatenate(([0], np.cumsum(self.count)[:-1]))
         self.metres = np.array([float(np.hypot(*np.diff(c.points, axis=0).T).sum()) for c in network.lanes])
-        tight = self.graph.node_lane[curvature(self.graph) > 1.0 / TIGHTEST]
+        tight = self.graph.node_lane[np.abs(self.graph.curvature(WINDOW)) > 1.0 / TIGHTEST]
         self.edges = frozenset(c.edge for c in network.lanes if not c.connector)
         self.edges -= {network.lanes[i].edge for i in tight}
         self.following: list[list[int]] = [[] for _ in network.lanes]

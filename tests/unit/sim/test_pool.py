@@ -9,7 +9,7 @@ import pytest
 
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import POOLS, REGIMES, Regime
-from phase_sumo.sim.curve_speed import BRAKING, FASTEST, SIDEWAYS, curvature
+from phase_sumo.sim.curve_speed import BRAKING, FASTEST, SIDEWAYS, WINDOW
 from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 from phase_sumo.sim.pool import (
@@ -219,7 +219,7 @@ def test_pairs_know_from_which_speed_their_curves_can_be_braked_for(radius, regi
     pool = build_pool(graph, regime)
     xy = graph.node_xy.astype(float)
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))  # one lane goes on from the other
-    in_curve = np.minimum(np.sqrt(SIDEWAYS / np.maximum(curvature(graph), 1e-9)), FASTEST)
+    in_curve = np.minimum(np.sqrt(SIDEWAYS / np.maximum(np.abs(graph.curvature(WINDOW)), 1e-9)), FASTEST)
 
     def slowest(first: int, last: int) -> float:
         """From the curves between two nodes, each braked for by itself."""

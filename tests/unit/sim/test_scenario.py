@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -18,7 +19,7 @@ from phase_sumo.config import (
     ScriptConfig,
     SimConfig,
 )
-from phase_sumo.sim.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, curvature
+from phase_sumo.sim.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, WINDOW
 from phase_sumo.sim.dimensions import truck_slots
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.events import agent_contacts
@@ -80,7 +81,7 @@ def test_nobody_begins_or_is_told_to_arrive_too_fast_for_a_curve(drawn, regime):
     scenario = drawn(regime, ramp, truck_ratio=0.5)
     truck, active = scenario.shape.truck, scenario.active
     node = torch.from_numpy(ramp.graph.node_xy).double()
-    bend = torch.from_numpy(curvature(ramp.graph))
+    bend = torch.from_numpy(np.abs(ramp.graph.curvature(WINDOW)))
 
     def sideways(x, y, speed, vehicles) -> torch.Tensor:
         at = torch.cdist(torch.stack((x, y), -1)[vehicles].double(), node).argmin(-1)
