@@ -26,13 +26,15 @@ class LanePlaces:
 
     Attributes:
         lane: the nearest lane, -1 where the centre is on none (or the vehicle absent).
-        offset: m from its centre line, positive to the left; NaN there.
-        yaw: direction of that lane in rad; NaN there.
+        position: m along its centre line; NaN there, like the next two.
+        lateral: m from it, positive to the left.
+        yaw: direction of that lane in rad.
         firm: the centre is in the lane by `MARGIN` at least, so that a lane other than before means a change.
     """
 
     lane: IntArray
-    offset: FloatArray
+    position: FloatArray
+    lateral: FloatArray
     yaw: FloatArray
     firm: NDArray[np.bool_]
 
@@ -47,9 +49,9 @@ class LaneChanges:
     end: IntArray
 
 
-def lane_places(recording: Recording) -> LanePlaces:
-    """Nearest lane of every sample."""
-    network = recording.network
+def lane_places(recording: Recording, network: LaneNetwork | None = None) -> LanePlaces:
+    """Nearest lane of every sample, of the recording's own network or another one."""
+    network = network or recording.network
     lines = Polylines.of([lane.points for lane in network.lanes])
     samples = lines.samples(SPACING)
     at, along = lines.at(samples), lines.direction(samples)
@@ -61,18 +63,22 @@ def lane_places(recording: Recording) -> LanePlaces:
     found = [nearest(query[i : i + PIECE], at, radius)[0] for i in range(0, len(query), PIECE)]
     point = np.concatenate([np.zeros(0, np.int64), *found])
     delta, direction = query - at[point], along[point]
-    offset = direction[:, 0] * delta[:, 1] - direction[:, 1] * delta[:, 0]
-    ahead = np.abs((direction * delta).sum(1))
+    lateral = direction[:, 0] * delta[:, 1] - direction[:, 1] * delta[:, 0]
+    ahead = (direction * delta).sum(1)
     half = 0.5 * width[owner[point]]
-    inside = (point >= 0) & (np.abs(offset) <= half + BORDER) & (ahead <= SPACING)
-    shape = here.shape
-    lane, firm = np.full(shape, -1, np.int64), np.zeros(shape, np.bool_)
-    offsets, yaws = np.full(shape, np.nan), np.full(shape, np.nan)
+    inside = (point >= 0) & (np.abs(lateral) <= half + BORDER) & (np.abs(ahead) <= SPACING)
+    lane, firm = np.full(here.shape, -1, np.int64), np.zeros(here.shape, np.bool_)
     lane[here] = np.where(inside, owner[point], -1)
-    offsets[here] = np.where(inside, offset, np.nan)
-    yaws[here] = np.where(inside, np.arctan2(direction[:, 1], direction[:, 0]), np.nan)
-    firm[here] = inside & (np.abs(offset) <= half - MARGIN)
-    return LanePlaces(lane, offsets, yaws, firm)
+    firm[here] = inside & (np.abs(lateral) <= half - MARGIN)
+
+    def known(values: FloatArray) -> FloatArray:
+        result = np.full(here.shape, np.nan)
+        result[here] = np.where(inside, values, np.nan)
+        return result
+
+    position = samples.s[point] - lines.s[lines.first[owner[point]]] + ahead
+    yaw = np.arctan2(direction[:, 1], direction[:, 0])
+    return LanePlaces(lane, known(position), known(lateral), known(yaw), firm)
 
 
 def lane_changes(recording: Recording, places: LanePlaces) -> LaneChanges:

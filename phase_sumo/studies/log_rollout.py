@@ -18,7 +18,7 @@ from phase_sumo.bridge.sumo.conventions import angle_from_yaw
 from phase_sumo.bridge.sumo.demand import sumo_model
 from phase_sumo.bridge.sumo.options import SUMO_OPTIONS
 from phase_sumo.bridge.sumo.session import Session, Simulation
-from phase_sumo.evaluate.realism.places import Places, places
+from phase_sumo.logs.lane_matching import LanePlaces, lane_places
 from phase_sumo.logs.recorded_roads import extended
 from phase_sumo.logs.recording import PERIOD, Recording, Window
 from phase_sumo.sim.lanes import LaneNetwork
@@ -30,7 +30,12 @@ BACKGROUND = "idm"  # drives what PHASE cannot
 
 
 def roll_out(
-    window: Window, road: SumoRoad, places: Places, model: str, driver: Driver | None = None, seed: int = 0
+    window: Window,
+    road: SumoRoad,
+    places: LanePlaces,
+    model: str,
+    driver: Driver | None = None,
+    seed: int = 0,
 ) -> Recording:
     """Tracks of a window's agents under a model, from the recorded places, speeds and directions on.
 
@@ -168,5 +173,5 @@ def roll_out_all(
             for window in of_road:
                 progress(done / len(windows), f"rollouts, {window.recording.name}")
                 done += 1
-                where = places(window.recording, road)
+                where = lane_places(window.recording, road)
                 yield window, road, {m: roll_out(window, sumo, where, m, driver, seed) for m in models}

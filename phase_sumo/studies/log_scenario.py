@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from phase_sumo.bridge.maps.import_map import netconvert
-from phase_sumo.evaluate.realism.places import Places
+from phase_sumo.logs.lane_matching import LanePlaces
 from phase_sumo.logs.recording import Kind, Window
 from phase_sumo.sim.lanes import LaneNetwork
 
@@ -203,7 +203,7 @@ class Start:
     left_hand: bool
 
 
-def start_of(window: Window, road: SumoRoad, places: Places) -> Start:
+def start_of(window: Window, road: SumoRoad, places: LanePlaces) -> Start:
     """The agents of a window at its begin.
 
     Args:

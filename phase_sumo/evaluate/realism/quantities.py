@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from phase_sumo.arrays import FloatArray
 from phase_sumo.evaluate import surrogate_safety
-from phase_sumo.evaluate.realism.places import Places, places, trajectories
-from phase_sumo.logs.lane_matching import lane_changes, lane_places
+from phase_sumo.evaluate.trajectories import Trajectories
+from phase_sumo.logs.lane_matching import LanePlaces, lane_changes, lane_places
 from phase_sumo.logs.recording import PERIOD, Recording
 from phase_sumo.sim.lanes import LaneNetwork
 
@@ -59,9 +59,8 @@ class Quantities:
 
 def quantities(scene: Recording, network: LaneNetwork) -> Quantities:
     """`Quantities` of the vehicles of a scene on ``network``, the scene's own with longer ends."""
-    on_longer = replace(scene, network=network)
-    where = places(scene, network)
-    found = lane_changes(on_longer, lane_places(on_longer))
+    where = lane_places(scene, network)
+    found = lane_changes(replace(scene, network=network), where)
     step = np.hypot(np.diff(scene.x, axis=1), np.diff(scene.y, axis=1))
     gap, headway, ttc = _following(scene, network, where)
     return Quantities(
@@ -80,6 +79,54 @@ def quantities(scene: Recording, network: LaneNetwork) -> Quantities:
     )
 
 
+def trajectories(recording: Recording, network: LaneNetwork, where: LanePlaces) -> Trajectories:
+    """The tracks as the traffic measures take them; positions are those of the front bumper.
+
+    ``x``, ``y`` are the centre of the box here, not the rear axle.
+    """
+    vehicle, sample = np.nonzero(recording.present & (where.lane >= 0))
+    order = np.lexsort((vehicle, sample))
+    vehicle, sample = vehicle[order], sample[order]
+    count, lanes = len(vehicle), network.lanes
+
+    def of(values: np.ndarray) -> np.ndarray:
+        return values[vehicle, sample]
+
+    following: list[list[int]] = [[] for _ in lanes]
+    for a, b in network.successors:
+        following[a].append(b)
+    size = len(recording.length)
+    shape = np.zeros((size, 8))
+    shape[:, 0], shape[:, 1] = recording.length, recording.width
+    return Trajectories(
+        time=PERIOD * sample.astype(np.float64),
+        vehicle=vehicle,
+        x=of(recording.x),
+        y=of(recording.y),
+        yaw=of(recording.yaw),
+        hitch=np.zeros(count),
+        speed=of(recording.speed),
+        accel=np.zeros(count),
+        lane=of(where.lane),
+        position=of(where.position) + 0.5 * recording.length[vehicle],
+        lateral=of(where.lateral),
+        controlled=np.zeros(count, bool),
+        target_speed=np.zeros(count),
+        alpha=np.full(count, np.nan),
+        vehicle_ids=tuple(f"v{k}" for k in range(size)),
+        vehicle_types=tuple(recording.kind),
+        emission_classes=("",) * size,
+        shape=shape,
+        length=recording.length,
+        lane_ids=tuple(lane.id for lane in lanes),
+        lane_edges=tuple(f":{lane.edge}" if lane.connector else lane.edge for lane in lanes),
+        lane_length=np.array([float(np.hypot(*np.diff(lane.points, axis=0).T).sum()) for lane in lanes]),
+        lane_speed=np.array([lane.speed_limit for lane in lanes]),
+        lane_next=tuple(map(tuple, following)),
+        period=PERIOD,
+    )
+
+
 def _rate(steps: FloatArray) -> FloatArray:
     """[N, T] change per second over the `SPAN` steps [N, T - 1] that end at a sample."""
     total = np.cumsum(np.pad(steps, ((0, 0), (1, 0))), 1)  # NaN from where a vehicle is lost
@@ -89,7 +136,7 @@ def _rate(steps: FloatArray) -> FloatArray:
 
 
 def _following(
-    scene: Recording, network: LaneNetwork, where: Places
+    scene: Recording, network: LaneNetwork, where: LanePlaces
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     t = trajectories(scene, network, where)
     pairs = surrogate_safety.following(t)
@@ -120,7 +167,7 @@ def _nearest(scene: Recording) -> FloatArray:
     return np.where(scene.present, distance, np.nan)
 
 
-def _road_edge(scene: Recording, network: LaneNetwork, where: Places) -> FloatArray:
+def _road_edge(scene: Recording, network: LaneNetwork, where: LanePlaces) -> FloatArray:
     left, right = (_room(network, side) for side in ("left", "right"))
     centre = np.minimum(left[where.lane] - where.lateral, right[where.lane] + where.lateral)
     distance = 0.5 * scene.width[:, None] - centre

@@ -119,9 +119,9 @@ def test_vehicles_are_in_their_lanes(recorded):
     assert lanes[middle].left == at[1] or lanes[middle].solid_left
     assert (np.cos(recording.yaw - places.yaw)[recording.present] > 0.99).all()
     # its lane change is a lane's width to the left
-    y = places.offset[0]
+    y = places.lateral[0]
     assert y[40] == pytest.approx(y[90], abs=0.02) and places.lane[0, 40] != places.lane[0, 90]
-    across = places.offset[0, 41:70]
+    across = places.lateral[0, 41:70]
     assert across.max() > 1.5 and across.min() < -1.5 and across.argmax() < across.argmin()
     assert np.abs([lane.width - WIDTH for lane in lanes]).max() < 0.02
 

@@ -165,7 +165,7 @@ def test_us101():
     assert recording.source == "USA_US101"
     assert recording.present.shape == (57, 141)
     assert (places.lane >= 0)[recording.present].mean() > 0.99
-    assert float(np.abs(places.offset[recording.present]).mean()) < 0.6
+    assert float(np.abs(places.lateral[recording.present]).mean()) < 0.6
     assert not any("overlaps" in flags or "against" in flags for flags in recording.flags)
     (window,) = windows(recording)
     assert len(window.agents) == 57 - sum(~recording.present[:, 0])

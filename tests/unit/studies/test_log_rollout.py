@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from phase_sumo.bridge.maps.sumo_network import read_network
-from phase_sumo.evaluate.realism.places import places
+from phase_sumo.logs.lane_matching import lane_places
 from phase_sumo.logs.recorded_roads import extended
 from phase_sumo.logs.sources import open_source
 from phase_sumo.logs.windows import windows
@@ -63,7 +63,7 @@ def test_rollouts_start_as_recorded_and_drive_on(tmp_path, model, radius, left_h
     log = recording(CARS, radius=radius, lengths=[4.6, 18.0, 4.6, 4.6], network=network)
     (window,) = windows(log, 2.0, lane_changes_only=False, shortest=2.0, stride=2.0)
     longer = extended(log.network, 60.0, 300.0)
-    where = places(window.recording, longer)
+    where = lane_places(window.recording, longer)
     found = roll_out(window, write_road(longer, tmp_path), where, model, Standin())
     assert found.present.all()
     assert found.x.shape == (4, 21)
@@ -73,7 +73,7 @@ def test_rollouts_start_as_recorded_and_drive_on(tmp_path, model, radius, left_h
     step = np.hypot(np.diff(found.x), np.diff(found.y)) / 0.1
     assert step == pytest.approx(found.speed[:, 1:], abs=0.4)
     assert np.abs(np.diff(found.speed)).max() < 0.5  # nobody brakes in an emergency at the start
-    there = places(found, longer).lane
+    there = lane_places(found, longer).lane
     assert (there >= 0).all() and (there[:, 0] == where.lane[:, 0]).all()
 
 
@@ -84,7 +84,7 @@ def test_who_starts_within_a_junction_is_there_from_the_first_sample(tmp_path):
     longer = extended(recorded.network, 60.0, 300.0)
     sumo = write_road(longer, tmp_path)
     for window in windows(recorded, 1.0, lane_changes_only=False, stride=5.0, shortest=1.0):
-        found = roll_out(window, sumo, places(window.recording, longer), "phase", Standin())
+        found = roll_out(window, sumo, lane_places(window.recording, longer), "phase", Standin())
         at = window.begin
         assert found.present.all()
         assert found.x[:, 0] == pytest.approx(window.recording.x[:, at], abs=0.02)
@@ -100,7 +100,7 @@ def test_sumos_drivers_keep_their_place_in_the_lane(tmp_path, left_hand):
     log = replace(straight, y=straight.y + np.array([[0.6], [-0.6], [0.3], [0.0]]))
     (window,) = windows(log, 3.0, lane_changes_only=False, shortest=3.0)
     longer = extended(log.network, 60.0, 300.0)
-    where = places(window.recording, longer)
+    where = lane_places(window.recording, longer)
     found = roll_out(window, write_road(longer, tmp_path), where, "idm")
     assert found.y[:, :5] == pytest.approx(log.y[:, :5], abs=0.02)
 
@@ -108,6 +108,6 @@ def test_sumos_drivers_keep_their_place_in_the_lane(tmp_path, left_hand):
 def test_the_same_seed_gives_the_same_rollout(tmp_path):
     log = recording(CARS)
     window, longer = windows(log, 1.0, False, shortest=1.0)[0], extended(log.network, 60.0, 200.0)
-    sumo, where = write_road(longer, tmp_path), places(window.recording, longer)
+    sumo, where = write_road(longer, tmp_path), lane_places(window.recording, longer)
     first, again = (roll_out(window, sumo, where, "idm", seed=2) for _ in range(2))
     assert np.array_equal(first.x, again.x)
