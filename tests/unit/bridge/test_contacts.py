@@ -111,10 +111,14 @@ def test_trailers_collide_too_and_gaps_do_not():
 
 def test_roads_that_cross_on_another_level_are_no_contact():
     table = VehicleTable(4)
-    monitor = ContactMonitor(log_of(table))
+    apart: list[tuple[str, str]] = []
+    monitor = ContactMonitor(log_of(table), lambda *pair: pair not in apart)
     place(table, "a", 0.0, 0.0)
     place(table, "b", 1.0, -1.0, yaw=np.pi / 2)
+    apart.append(("a", "b"))
     assert monitor.update(table, 0.0, {}) == []
+    apart.clear()  # at a crossing on one level any angle counts
+    assert len(monitor.update(table, 0.1, {})) == 1
 
 
 def test_the_vehicle_at_fault_comes_first_whatever_its_row():
