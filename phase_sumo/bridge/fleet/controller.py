@@ -99,7 +99,7 @@ class Controller:
     ) -> None:
         self._road, self._table, self._drivers, self._steps = road, table, drivers, steps
         self._speeds, self._planner = speeds, planner
-        self._node = np.zeros(0, np.int64)  # at the last decision
+        self._node = np.full(len(table), -1, np.int64)  # at the last decision
         self._seen: list[Tensor] = []  # view and direction by route
         self.cpu = 0.0
         self.decisions = 0

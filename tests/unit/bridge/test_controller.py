@@ -34,6 +34,7 @@ def neighbours(road, x, y, yaw, controlled):
     speeds = TargetSpeeds(road, table, np.full(len(road.count), 30.0))
     steps = Steps.fit(0.1, 0.1)
     controller = Controller(road, table, Drivers(Standin()), steps, speeds, GoalPlanner(road, table))
+    controller._node = np.full(len(table), -1)  # on no lane: told by the direction
     index, mask = (t.numpy() for t in controller._neighbours(rows, Standin().sim))
     assert (np.diff(mask.astype(int), axis=1) <= 0).all()  # real ones come first
     return table, rows, [i[m].tolist() for i, m in zip(index, mask, strict=True)]
