@@ -50,7 +50,7 @@ def experience(bundle: Path) -> Rollout:
         config.actions,
     )
     generator = torch.Generator().manual_seed(0)
-    net, buffer = network(config).eval(), Buffer(env.observation, config.rollout)
+    net, buffer = network(config).eval(), Buffer(env, config.rollout)
     return collect(env, net, buffer, config.rollout, config.gamma, (0.5, 2.0), generator, False)
 
 
