@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from traci.step import StepListener
 
+from phase_sumo.bridge.drive_options import DriveOptions
 from phase_sumo.bridge.fleet.contacts import ContactMonitor
 from phase_sumo.bridge.fleet.drivers import Driver, Drivers
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.fleet import Fleet
-from phase_sumo.bridge.fleet.parameters import Choice, Parameters
+from phase_sumo.bridge.fleet.parameters import Parameters
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.maps.levels import Levels
-from phase_sumo.bridge.maps.sumo_network import odd_lengths, read_network
+from phase_sumo.bridge.maps.sumo_network import odd_lengths
 from phase_sumo.bridge.outputs.trailers import Trailers
 from phase_sumo.bridge.sumo.options import check_options
 from phase_sumo.bridge.sumo.session import Simulation
 from phase_sumo.errors import PhaseError
 from phase_sumo.policy.checkpoint import load_policy
+from phase_sumo.sim.lanes import LaneNetwork
 
 
 class PhaseFleet(StepListener):
@@ -50,41 +51,39 @@ class PhaseFleet(StepListener):
         api: Any,
         policy: Driver | str | Path | None = None,
         *,
-        share: float | None = None,
-        types: Sequence[str] = (),
-        alpha: float | tuple[float, float] | None = None,
-        explicit: Sequence[str] = (),
-        deterministic: bool = False,
-        time_gap: float | None = None,
-        seed: int = 0,
-        roads: Literal["freeway", "all"] = "freeway",
-        drives: bool = True,
+        options: DriveOptions | None = None,
+        network: LaneNetwork | None = None,
+        **changes: Any,
     ) -> None:
         """Take part in a simulation that was started.
 
         Args:
             api: ``libsumo``, ``traci`` or one of traci's connections.
-            policy: a loaded policy or its file; None loads the shipped one.
-            share, types, alpha, explicit, deterministic, time_gap, seed: see `Choice`.
-            roads: ``"freeway"`` observes and drives motorways and ramps only, ``"all"`` every road.
-            drives: False only watches: trips and contacts of a run without PHASE.
+            policy: a loaded policy or its file; None for that of the options.
+            options: see `DriveOptions`; those that SUMO was started with are not changed by them.
+            network: the roads to observe, see `DriveOptions.network`; None reads them.
+            changes: single options, e.g. ``share=0.3``; ``seed`` is SUMO's if left out.
 
         Raises:
             PhaseError: SUMO was started without an option that PHASE needs, or an argument cannot be used.
         """
+        drive = (options or DriveOptions()).changed(changes)
         check_options(api)
         option = api.simulation.getOption
-        self.choice = Choice(share, tuple(types), alpha, seed, tuple(explicit), deterministic, time_gap)
+        self.choice = drive.choice(int(option("seed")) if drive.seed is None else drive.seed)
         self.simulation = Simulation(api)
-        network = read_network(option("net-file"), roads)
+        if network is None:
+            network = drive.network(option("net-file"))
         edges = frozenset(lane.edge for lane in network.lanes if not lane.connector)
         self.scene = Scene(self.simulation, edges, network.origin)
         self._levels, self._road_warnings = Levels(network), odd_lengths(network.warnings)
         self._contacts = ContactMonitor(self.scene.events, self._touching)
         self._trailers = Trailers(api, self.scene.table) if api.hasGUI() else None
         self._fleet: Fleet | None = None
-        if drives:
-            common = load_policy(policy) if policy is None or isinstance(policy, str | Path) else policy
+        if drive.phase:
+            common = drive.policy if policy is None else policy
+            if common is None or isinstance(common, str | Path):
+                common = load_policy(common)
             drivers = Drivers(common, Path(option("configuration-file")).parent)
             hitch = "phase.hitch" in option("fcd-output.params")
             self._fleet = Fleet(self.scene, Road(network, self._levels), drivers, self.choice, hitch)
@@ -250,9 +249,8 @@ class PhaseFleet(StepListener):
     @property
     def _over(self) -> bool:
         """SUMO makes no further step: its demand is used up, or its end has come."""
-        simulation = self.simulation.api.simulation
-        end = float(simulation.getEndTime())
-        return simulation.getMinExpectedNumber() == 0 or 0 <= end <= self._last
+        end = float(self.simulation.api.simulation.getEndTime())
+        return self.simulation.used_up or 0 <= end <= self._last
 
     def _waiting(self) -> int:
         """Vehicles that SUMO could not insert yet; at the end, those that it never could."""

@@ -6,90 +6,71 @@ import json
 import math
 import tempfile
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from phase_sumo.bridge.fleet.drivers import Driver
+from phase_sumo.bridge.check import check_scenario
+from phase_sumo.bridge.drive_options import DriveOptions
 from phase_sumo.bridge.fleet.event_log import write_events
 from phase_sumo.bridge.fleet.scene import Trip
 from phase_sumo.bridge.live import PhaseFleet
 from phase_sumo.bridge.outputs.recorder import Recorder
 from phase_sumo.bridge.outputs.sumo_outputs import OUTPUTS, SumoOutputs
 from phase_sumo.bridge.sumo.demand import sumo_model
+from phase_sumo.bridge.sumo.file_names import OURS
 from phase_sumo.bridge.sumo.options import command, read_scenario
 from phase_sumo.bridge.sumo.session import Session, Simulation
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.signals import held_signals
 
 Progress = Callable[[float, str], None]
-OURS = ("result.json", "events.csv", "trips.csv", "trajectories.npz")  # what we write into an output folder
 RECORD_PERIOD = 0.2  # s between recorded frames, or SUMO's step where that is longer
 
 
 def run_scenario(
-    cfg: str | Path,
+    cfg: str | Path | None,
+    options: DriveOptions | None = None,
     *,
-    policy: Driver | str | Path | None = None,
-    share: float | None = None,
-    types: Sequence[str] | None = None,
-    alpha: float | tuple[float, float] | None = None,
-    explicit: Sequence[str] = (),
-    deterministic: bool = False,
-    time_gap: float | None = None,
-    phase: bool = True,
-    seed: int | None = None,
-    model: str | None = None,
-    roads: Literal["freeway", "all"] = "freeway",
-    end: float | None = None,
-    gui: bool = False,
-    over_traci: bool = False,
-    sumo_options: Sequence[str] = (),
     output_dir: str | Path | None = None,
     record: bool = True,
+    gui: bool = False,
+    over_traci: bool = False,
     progress: Progress | None = None,
+    **changes: Any,
 ) -> dict[str, Any]:
     """Run a scenario; PHASE drives a share of the vehicles on its freeway part.
 
     Args:
-        cfg: a ``.sumocfg``.
-        policy: a loaded policy or its file; None loads the shipped one.
-        share: of the vehicles that PHASE may drive, 0..1; the same seed and id always decide alike, and a
-            larger share adds vehicles to those of a smaller one. None is 1, or 0 with ``explicit`` ids.
-        types: vTypes that the share is taken of; empty for all that PHASE can drive.
-        alpha: longitudinal action range of every vehicle, or bounds to draw it from (see `Choice`).
-        explicit: ids of vehicles that PHASE drives in any case.
-        deterministic: meet the share by counting vehicles instead of drawing.
-        time_gap: s to the leader that target speeds leave, 0 for the policy alone; None takes each vType's
-            tau.
-        phase: False leaves every vehicle to SUMO, whatever is said of it.
-        seed: SUMO's and ours; None keeps the scenario's for SUMO and takes 0 for us.
-        model: SUMO car-following model (``"idm"``, ``"krauss"`` ...) for all vehicles that SUMO drives; None
-            leaves what the scenario says.
-        roads: ``"freeway"`` observes and drives motorways and ramps only, ``"all"`` every road.
-        end: stop at this time in s instead of the scenario's end.
-        gui: show SUMO's window.
-        over_traci: run SUMO in a process of its own, through TraCI instead of libsumo.
-        sumo_options: further SUMO options, e.g. ``["--fcd-output", "fcd.xml"]``.
+        cfg: a ``.sumocfg``; None when ``sumo_options`` name network and demand.
+        options: see `DriveOptions`.
         output_dir: folder for SUMO's and our outputs: ``result.json``, ``events.csv``, ``trips.csv``,
             ``trajectories.npz``. None leaves SUMO's outputs where the scenario puts them, without ours.
         record: write trajectories (needs ``output_dir``).
+        gui: show SUMO's window.
+        over_traci: run SUMO in a process of its own, through TraCI instead of libsumo.
         progress: called with the fraction done and a line of text.
+        changes: single options, e.g. ``share=0.3``, ``seed=1``.
 
     Returns:
         The command line's JSON: vehicles, phase_vehicles, arrived, phase_collisions,
         phase_at_fault_collisions, off_road, phase_vehicle_km, sim_seconds, wall_seconds, real_time_factor,
         policy_cpu_us_per_vehicle_step, share_of_time_under_policy, share_of_freeway_time_under_policy (of the
         PHASE vehicles' time on ``roads``), accounts (inserted = arrived + running + removed by reason),
-        warnings, and more of the kind.
+        warnings, check (see `Check`), and more of the kind.
 
     Raises:
         PhaseError: the scenario or an argument cannot be used.
     """
-    scenario = read_scenario(cfg, tuple(sumo_options))
-    driver = load_policy(policy) if phase and (policy is None or isinstance(policy, str | Path)) else policy
+    drive = (options or DriveOptions()).changed(changes)
+    scenario = read_scenario(cfg, tuple(drive.sumo_options))
+    network = drive.network(scenario.net)
+    check = check_scenario(cfg, drive, network)
+    policy = drive.policy
+    if drive.phase and (policy is None or isinstance(policy, str | Path)):
+        policy = load_policy(policy)
     keep = nullcontext(str(output_dir)) if output_dir else tempfile.TemporaryDirectory(prefix="phase_sumo_")
     with keep as folder:
         work_dir = Path(folder)
@@ -98,26 +79,14 @@ def run_scenario(
         args = command(
             scenario,
             work_dir,
-            model=sumo_model(model) if model else None,
+            model=sumo_model(drive.model) if drive.model else None,
             redirect_outputs=output_dir is not None,
-            seed=seed,
-            end=end,
+            seed=drive.seed,
+            end=drive.end,
         )
-        stop = end if end is not None else scenario.end
+        stop = drive.end if drive.end is not None else scenario.end
         with ExitStack() as ended, Session(args, work_dir, gui, over_traci) as simulation:
-            fleet = PhaseFleet(
-                simulation.api,
-                driver,
-                share=share,
-                types=types or (),
-                alpha=alpha,
-                explicit=explicit,
-                deterministic=deterministic,
-                time_gap=time_gap,
-                seed=seed or 0,
-                roads=roads,
-                drives=phase,
-            )
+            fleet = PhaseFleet(simulation.api, policy, options=drive, network=network)
             outputs = SumoOutputs(fleet.scene, [name for name in OUTPUTS if scenario.value(name)])
             ended.callback(outputs.settle)  # however the run ends
             period = max(RECORD_PERIOD, simulation.step_length)
@@ -134,13 +103,15 @@ def run_scenario(
         report = fleet.report()
         report["warnings"] += [*scenario.warnings, *outputs.warnings]
         rate = report["sim_seconds"] / wall if wall else math.nan
-        result = {"scenario": str(scenario.path), **report, "wall_seconds": wall, "real_time_factor": rate}
+        result = {"scenario": scenario.name, **report, "wall_seconds": wall, "real_time_factor": rate}
+        result["check"] = check.to_json()
         if output_dir:
             write_events(work_dir / "events.csv", fleet.events)
             write_trips(work_dir / "trips.csv", fleet.scene.trips.values())
             if trajectories is not None:
                 trajectories.save(work_dir / "trajectories.npz")
-            (work_dir / "result.json").write_text(json.dumps(result, indent=1) + "\n")
+            text = json.dumps(result, indent=1)
+            (work_dir / "result.json").write_text(text + "\n", encoding="utf-8")
     return result
 
 
@@ -154,7 +125,7 @@ def _loop(
 ) -> float:
     """Step until ``stop`` s, or until the demand is used up; returns the wall time in s."""
     started = shown = clock.perf_counter()
-    begin, expected = simulation.time, simulation.api.simulation.getMinExpectedNumber
+    begin = simulation.time
     with held_signals() as answer_signals:  # SUMO's files and ours end with the same step
         while True:
             simulation.step()
@@ -163,7 +134,7 @@ def _loop(
             time = simulation.time
             if recorder and recorder.due(time):
                 recorder.sample(time, fleet.scene.table, fleet.scene.types)
-            if expected() == 0 or (stop is not None and time >= stop - 1e-6):
+            if simulation.used_up or (stop is not None and time >= stop - 1e-6):
                 break  # a pose that SUMO never steps to would crash libsumo's next simulation
             fleet.drive()
             answer_signals()
@@ -201,4 +172,4 @@ def write_trips(path: Path, trips: Any) -> None:
                 for c in cells
             )
         )
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -7,18 +7,23 @@ import sys
 from pathlib import Path
 
 from phase_sumo.cli.files import write_json
-from phase_sumo.cli.parser import FLAGS, make_parser
+from phase_sumo.cli.parser import make_parser
+from phase_sumo.cli.words import split
 from phase_sumo.errors import PhaseError
 from phase_sumo.signals import handled, interrupt
-
-DEVICE = "--device.phase."
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit status."""
-    arguments, sumo_options = _split(sys.argv[1:] if argv is None else argv)
-    args = make_parser().parse_args(arguments)
-    args.sumo_options = sumo_options
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a name that the terminal cannot show is no reason to fail
+            stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    words, behind = split(sys.argv[1:] if argv is None else argv)
+    parser = make_parser()
+    args = parser.parse_args(words)
+    if behind and not args.runs_sumo:
+        parser.error(f"{' '.join(behind)}: options of SUMO, which this command does not run")
+    args.sumo_options += behind
     try:
         with handled([signal.SIGTERM], interrupt):
             result = args.command(args)
@@ -33,25 +38,3 @@ def main(argv: list[str] | None = None) -> int:
         print("phase-sumo: stopped", file=sys.stderr)
         return 130
     return 0
-
-
-def _split(argv: list[str]) -> tuple[list[str], list[str]]:
-    """Our arguments, and SUMO's own behind ``--``; ``--device.phase.*`` is ours on either side of it."""
-    at = argv.index("--") if "--" in argv else len(argv)
-    ours, sumos = _flags_with_values(argv[:at]), _flags_with_values(argv[at + 1 :])
-    while found := [i for i, word in enumerate(sumos) if word.startswith(DEVICE)]:
-        i = found[0]
-        count = 1 if "=" in sumos[i] else 2
-        ours += sumos[i : i + count]
-        del sumos[i : i + count]
-    return ours, sumos
-
-
-def _flags_with_values(words: list[str]) -> list[str]:
-    """SUMO's flags may stand without a value: ``--device.phase.deterministic`` gets its own."""
-    result = list(words)
-    for i in range(len(words) - 1, -1, -1):
-        if words[i] == f"{DEVICE}deterministic":
-            given = i + 1 < len(words) and words[i + 1].lower() in FLAGS
-            result[i : i + 1 + given] = [f"{words[i]}={words[i + 1] if given else 'true'}"]
-    return result

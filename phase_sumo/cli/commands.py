@@ -6,12 +6,15 @@ import argparse
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from phase_sumo.cli.files import DEMO, HELD_OUT, find_files, load_maps, progress_bar
 from phase_sumo.cli.train_view import train_view
 from phase_sumo.errors import PhaseError
 from phase_sumo.signals import stop_signals
+
+if TYPE_CHECKING:
+    from phase_sumo.bridge.drive_options import DriveOptions
 
 PARTS = ("sim", "train", "bridge", "convert")  # of the benchmark
 DEMO_MEASURES = ("mean_speed", "travel_time", "flow", "collisions_per_1000km", "lane_changes_per_km")
@@ -40,18 +43,24 @@ def convert(args: argparse.Namespace) -> Any:
 def train(args: argparse.Namespace) -> Any:
     from dataclasses import replace
 
+    import torch
+
     from phase_sumo.config import preset
     from phase_sumo.policy.checkpoint import load_policy
     from phase_sumo.train import distributed, tensorboard
     from phase_sumo.train.loop import Trainer
     from phase_sumo.train.run_folder import RunFolder
+    from phase_sumo.train.settings import with_settings
 
-    device = distributed.start()
+    if args.threads:
+        torch.set_num_threads(args.threads)
+    device = distributed.start(args.device)
     first = distributed.rank() == 0
     folder = RunFolder(args.run)
     config = folder.config() if args.resume else replace(preset(args.preset), seed=args.seed)
-    if args.steps:
-        config = replace(config, total_steps=args.steps)
+    config = with_settings(config, args.set)
+    given = {"total_steps": args.steps, "worlds": args.worlds}
+    config = replace(config, **{name: value for name, value in given.items() if value})
     with distributed.first_before_others():  # converts, and the others read
         maps = load_maps(args.networks, folder.path / "maps")
         held_out = load_maps(args.held_out, folder.path / "maps") if args.held_out else []
@@ -98,28 +107,29 @@ def tune(args: argparse.Namespace) -> Any:
     return result
 
 
+def check(args: argparse.Namespace) -> Any:
+    from phase_sumo.bridge.check import check_scenario
+
+    found = check_scenario(scenario_of(args), drive_options(args))
+    print("\n".join(found.lines()))
+    return found.to_json()
+
+
 def run(args: argparse.Namespace) -> Any:
+    from phase_sumo.bridge.check import Check
     from phase_sumo.bridge.run import run_scenario
 
     with progress_bar("run") as progress:
         result = run_scenario(
-            args.cfg,
-            policy=args.policy,
-            share=args.share,
-            explicit=args.explicit,
-            deterministic=args.deterministic,
-            types=args.types,
-            alpha=alpha_bounds(args.alpha),
-            time_gap=args.time_gap,
-            seed=args.seed,
-            end=args.end,
-            gui=args.gui,
-            over_traci=args.traci,
-            sumo_options=args.sumo_options,
+            scenario_of(args),
+            drive_options(args),
             output_dir=args.out,
             record=False,  # they would fill the memory in an hour of traffic; fcd-output is there for it
+            gui=args.gui,
+            over_traci=args.traci,
             progress=progress,
         )
+    print("\n".join(Check(**result["check"]).lines()))
     for name, value in result.items():
         if not isinstance(value, dict):
             print(f"{name}: {f'{value:.4g}' if isinstance(value, float) else value}")
@@ -132,25 +142,51 @@ def compare(args: argparse.Namespace) -> Any:
 
     with progress_bar("compare") as progress:
         result = comparison.compare(
-            args.cfg,
+            scenario_of(args),
             args.models,
             out_dir=args.out,
-            seeds=args.seeds,
-            policy=args.policy,
-            share=args.share,
-            explicit=args.explicit,
-            deterministic=args.deterministic,
-            types=args.types,
-            alpha=alpha_bounds(args.alpha),
-            time_gap=args.time_gap,
-            end=args.end,
-            sumo_options=args.sumo_options,
+            seeds=seeds_of(args.seeds, args.seed),
+            options=drive_options(args),
             jobs=args.jobs,
             write_report=write_report,
             progress=progress,
         )
     print(f"report: {result['report']}")
     return result
+
+
+def seeds_of(numbers: list[int], first: int) -> list[int]:
+    """Several numbers are the seeds themselves, one is how many there are from the first on."""
+    return numbers if len(numbers) > 1 else list(range(first, first + numbers[0]))
+
+
+def scenario_of(args: argparse.Namespace) -> str | None:
+    """The ``.sumocfg`` in either spelling; None when SUMO's options name the network instead."""
+    from phase_sumo.bridge.sumo.option_names import parse_options
+
+    if args.cfg and args.config:
+        raise PhaseError(f"two scenarios, {args.cfg} and {args.config}: pass one")
+    if not args.cfg and not args.config and "net-file" not in parse_options(args.sumo_options):
+        raise PhaseError("no scenario: pass CFG.sumocfg, -c CFG.sumocfg, or -n NET with -r ROUTES")
+    return args.cfg or args.config
+
+
+def drive_options(args: argparse.Namespace) -> DriveOptions:
+    """What `run`, `compare` and `check` say about driving."""
+    from phase_sumo.bridge.drive_options import DriveOptions
+
+    return DriveOptions(
+        policy=args.policy,
+        share=args.share,
+        types=tuple(args.types),
+        explicit=tuple(args.explicit),
+        deterministic=args.deterministic,
+        alpha=alpha_bounds(args.alpha),
+        time_gap=args.time_gap,
+        seed=args.seed,
+        end=args.end,
+        sumo_options=tuple(args.sumo_options),
+    )
 
 
 def demo(args: argparse.Namespace) -> Any:

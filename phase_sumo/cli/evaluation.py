@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from phase_sumo.cli.commands import scenario_of
 from phase_sumo.cli.files import held_out_maps, load_maps, progress_bar
 from phase_sumo.errors import PhaseError
 
@@ -186,11 +187,13 @@ def search(args: argparse.Namespace) -> Any:
     from dataclasses import asdict
     from hashlib import sha256
 
+    from phase_sumo.bridge.drive_options import DriveOptions
     from phase_sumo.policy.checkpoint import load_policy, policy_bytes
     from phase_sumo.studies import search as encounters
 
     policy, out = load_policy(args.policy), Path(args.out)
-    scene = encounters.read_scene(args.cfg, policy, args.time, args.around, args.radius, args.seed)
+    options = DriveOptions(policy=policy, sumo_options=args.sumo_options)
+    scene = encounters.read_scene(scenario_of(args), options, args.time, args.around, args.radius)
     print(f"{len(scene.vehicles)} vehicles around {scene.vehicles[0].id}")
     before = encounters.drive_scene(scene.net, scene.vehicles, args.seconds, policy, args.criterion)
     hunt = encounters.Search(scene, policy, args.criterion, args.vary, args.seconds, args.contact)

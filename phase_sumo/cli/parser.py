@@ -10,17 +10,11 @@ from typing import Any
 import phase_sumo
 from phase_sumo.cli import commands, evaluation
 from phase_sumo.cli.files import TUNE_TABLE
+from phase_sumo.cli.words import CommandParser, count, flag, time
 
-FLAGS = {
-    "true": True,
-    "1": True,
-    "yes": True,
-    "on": True,
-    "false": False,
-    "0": False,
-    "no": False,
-    "off": False,
-}
+RUN_SUMO = ("check", "run", "compare", "search")
+
+SUMOS = "Every option of SUMO passes through (sumo --help lists them), also behind --; -n, -r and -a do without a .sumocfg."
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -28,20 +22,23 @@ def make_parser() -> argparse.ArgumentParser:
         prog="phase-sumo", description="PHASE self-play highway traffic for SUMO.", allow_abbrev=False
     )
     parser.add_argument("--version", action="version", version=f"phase-sumo {phase_sumo.__version__}")
-    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=CommandParser)
 
-    def add(name: str, command: Callable[[argparse.Namespace], Any], text: str) -> argparse.ArgumentParser:
+    def add(name: str, command: Callable[[argparse.Namespace], Any], text: str) -> CommandParser:
+        runs_sumo = name in RUN_SUMO
         sub = subparsers.add_parser(
-            name,
-            help=text,
-            description=text,
-            allow_abbrev=False,
-            formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+            name, help=text, description=text, runs_sumo=runs_sumo, epilog=SUMOS if runs_sumo else None
         )
         sub.set_defaults(command=command)
         sub.add_argument("--json", metavar="FILE", help="write the results there as JSON")
-        sub.add_argument("--seed", type=int, default=0, help="fixes every random number")
         sub.add_argument("--debug", action="store_true", help="show tracebacks")
+        if runs_sumo:
+            sub.add_argument("cfg", nargs="?", metavar="CFG.sumocfg")
+            sub.add_argument(
+                "-c", "--configuration-file", dest="config", metavar="FILE", help="the same, as for SUMO"
+            )
+        if name not in ("run", "compare", "check"):
+            sub.add_argument("--seed", type=int, default=0, help="fixes every random number")
         return sub
 
     sub = add("convert", commands.convert, "road networks to training maps (.npz) with a picture of each")
@@ -82,7 +79,20 @@ def make_parser() -> argparse.ArgumentParser:
         default="phase",
         help="phase, paper, no-dclamp, no-reweighting, no-curriculum, gpudrive, gpudrive-same-model or smoke",
     )
-    sub.add_argument("--steps", type=int, help="agent steps of the whole training; the preset's if left out")
+    sub.add_argument(
+        "--steps", type=count, help="agent steps of the whole training, e.g. 4e7; the preset's if left out"
+    )
+    sub.add_argument(
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="KEY=VALUE",
+        help="settings, dotted where nested: reward.collision=2; the preset's if left out",
+    )
+    sub.add_argument("--worlds", type=count, help="worlds side by side; the preset's if left out")
+    sub.add_argument("--threads", type=count, help="of torch; as many as it takes if left out")
+    sub.add_argument("--device", help="cpu, cuda or cuda:N; cpu if left out, under torchrun a GPU for each")
     sub.add_argument("--resume", action="store_true", help="continue the run in --run")
     sub.add_argument("--start-from", metavar="POLICY", help="begin with the weights of this policy")
 
@@ -97,7 +107,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--run", required=True, metavar="DIR", help="folder of the study; trials join what is there"
     )
     sub.add_argument("--preset", default="phase", help="the training that is varied")
-    sub.add_argument("--steps", type=int, default=1_000_000, help="agent steps of each trial")
+    sub.add_argument("--steps", type=count, default=1_000_000, help="agent steps of each trial")
     sub.add_argument("--trials", type=int, default=20, help="how many this process adds to the study")
     sub.add_argument("--table", default=str(TUNE_TABLE), metavar="CSV", help="settings and their ranges")
 
@@ -117,7 +127,7 @@ def make_parser() -> argparse.ArgumentParser:
         help="other drivers beside it: constant velocity and, in the benchmark, random actions, in recorded "
         "traffic the log itself and SUMO's IDM",
     )
-    sub.add_argument("--worlds", type=int, default=64, help="synthetic worlds side by side")
+    sub.add_argument("--worlds", type=count, default=64, help="synthetic worlds side by side")
     sub.add_argument("--episodes", type=int, default=4, help="episodes of 9.1 s per synthetic world")
     sub.add_argument(
         "--windows",
@@ -139,7 +149,7 @@ def make_parser() -> argparse.ArgumentParser:
         choices=["jammed", "dense", "moderate", "free"],
         help="traffic of the benchmark's worlds that are driven",
     )
-    sub.add_argument("--worlds", type=int, default=24, help="at most this many of them")
+    sub.add_argument("--worlds", type=count, default=24, help="at most this many of them")
     sub.add_argument("--out", required=True, metavar="DIR", help="folder for steering.csv and steering.png")
 
     sub = add(
@@ -147,7 +157,6 @@ def make_parser() -> argparse.ArgumentParser:
         evaluation.search,
         "find a near-miss or a cut-in by context alone, as a SUMO scenario to replay",
     )
-    sub.add_argument("cfg", metavar="CFG.sumocfg", help="scenario that the scene is a moment of")
     sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
     sub.add_argument("--time", type=float, default=40.0, metavar="S", help="the moment")
     sub.add_argument("--around", metavar="ID", help="vehicle in the middle; where most are if left out")
@@ -167,11 +176,11 @@ def make_parser() -> argparse.ArgumentParser:
     )
 
     for name, command, text in (
-        ("run", commands.run, "run a SUMO scenario with PHASE vehicles; SUMO's own options go behind --"),
+        ("check", commands.check, "what PHASE would drive of a scenario, what it leaves to SUMO, and why"),
+        ("run", commands.run, "run a SUMO scenario with PHASE vehicles"),
         ("compare", commands.compare, "the same demand under several driver models, with an HTML report"),
     ):
         sub = add(name, command, text)
-        sub.add_argument("cfg", metavar="CFG.sumocfg")
         sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
         sub.add_argument(
             "--share",
@@ -191,7 +200,7 @@ def make_parser() -> argparse.ArgumentParser:
         sub.add_argument(
             "--device.phase.deterministic",
             dest="deterministic",
-            type=_flag,
+            type=flag,
             default=False,
             metavar="BOOL",
             help="meet the share by counting vehicles instead of drawing",
@@ -216,21 +225,38 @@ def make_parser() -> argparse.ArgumentParser:
             metavar="S",
             help="that target speeds leave to the leader; 0: the policy alone; each vType's tau if left out",
         )
-        sub.add_argument("--end", type=float, metavar="S", help="stop at this simulated time in s")
+        sub.add_argument(
+            "-e", "--end", type=time, metavar="S", help="stop at this time; the scenario's end if left out"
+        )
+        if name != "compare":
+            sub.add_argument("--seed", type=int, help="SUMO's and ours; the scenario's if left out")
         if name == "run":
-            sub.add_argument("--out", metavar="DIR", help="folder for SUMO's and our outputs")
+            sub.add_argument(
+                "--out",
+                metavar="DIR",
+                help="folder for SUMO's and our outputs; SUMO's stay where the scenario has them, without ours, "
+                "if left out",
+            )
             sub.add_argument("--gui", action="store_true", help="show SUMO's window")
             sub.add_argument(
                 "--traci", action="store_true", help="SUMO in a process of its own instead of libsumo"
             )
-        else:
+        if name == "compare":
             sub.add_argument(
                 "--models",
                 nargs="+",
                 default=["phase", "idm"],
                 help="phase, phase:0.3 (30 %% PHASE among the first SUMO model named), idm, krauss, eidm ...",
             )
-            sub.add_argument("--seeds", type=int, default=1, help="how many seeds, counted from 1")
+            sub.add_argument(
+                "--seeds",
+                type=count,
+                nargs="+",
+                default=[1],
+                metavar="N",
+                help="how many, counted from --seed; or which, when there are several numbers",
+            )
+            sub.add_argument("--seed", type=int, default=1, help="the first of them")
             sub.add_argument(
                 "--jobs", type=int, metavar="N", help="simulations at a time; one per core if left out"
             )
@@ -276,8 +302,8 @@ def make_parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--cfg", metavar="CFG.sumocfg", help="measure the bridge on this scenario instead, to its end"
     )
-    sub.add_argument("--steps", type=int, default=100, help="steps of simulator and bridge")
-    sub.add_argument("--threads", type=int, default=1, help="torch threads")
+    sub.add_argument("--steps", type=count, default=100, help="steps of simulator and bridge")
+    sub.add_argument("--threads", type=count, default=1, help="torch threads")
 
     sub = add("demo", commands.demo, "the shipped policy against IDM on the shipped merge scenario")
     sub.add_argument("--out", default="out/demo", metavar="DIR", help="folder for the report")
@@ -294,9 +320,3 @@ def _part(text: str) -> str:
     if text not in commands.PARTS:
         raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(commands.PARTS)}")
     return text
-
-
-def _flag(text: str) -> bool:
-    if text.lower() not in FLAGS:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither true nor false")
-    return FLAGS[text.lower()]

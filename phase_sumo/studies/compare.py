@@ -7,14 +7,15 @@ import json
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from phase_sumo.bridge.check import check_scenario
+from phase_sumo.bridge.drive_options import DriveOptions
 from phase_sumo.bridge.fleet.drivers import Driver
-from phase_sumo.bridge.fleet.parameters import Choice
-from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.bridge.sumo.options import read_scenario
 from phase_sumo.errors import PhaseError
 from phase_sumo.evaluate.measures import MEASURES
@@ -51,24 +52,16 @@ ALL_MEASURES = MEASURES | PHASE_MEASURES
 
 
 def compare(
-    cfg: str | Path,
+    cfg: str | Path | None,
     models: Sequence[str] = ("phase", "idm"),
     *,
     out_dir: str | Path,
     seeds: int | Sequence[int] = 1,
-    policy: Driver | str | Path | None = None,
-    share: float | None = None,
-    types: Sequence[str] | None = None,
-    alpha: float | tuple[float, float] | None = None,
-    explicit: Sequence[str] = (),
-    deterministic: bool = False,
-    time_gap: float | None = None,
-    roads: Literal["freeway", "all"] = "freeway",
-    end: float | None = None,
-    sumo_options: Sequence[str] = (),
+    options: DriveOptions | None = None,
     jobs: int | None = None,
     write_report: WriteReport | None = None,
     progress: Callable[[float, str], None] | None = None,
+    **changes: Any,
 ) -> dict[str, Any]:
     """Run every model with every seed and write the comparison.
 
@@ -79,26 +72,28 @@ def compare(
         out_dir: folder for ``comparison.json``, ``comparison.csv`` (one row per run), ``summary.csv`` (one
             per model and measure), ``report.html`` and one folder per run.
         seeds: how many (1, 2, ...) or which.
-        share: under PHASE where a model is plain ``"phase"``.
+        options: see `DriveOptions`; its share is that of plain ``"phase"``, its model and seed do not count.
         jobs: simulations at a time; None for as many as there are cores.
         write_report: writes ``report.html``; None for no page.
         progress: called with the fraction done and a line of text.
-        policy, types, alpha, explicit, deterministic, time_gap, roads, end, sumo_options: see `run_scenario`.
+        changes: single options, e.g. ``end=600.0``.
 
     Returns:
         scenario, models, seeds, reference, section, ``runs`` (one dict per model and seed), ``summary`` (per
         model and measure, see `summarise`), ``collisions`` and ``report``, the path of the page, if
         one is written.
     """
-    chosen = parse_models(models, share)
+    drive = (options or DriveOptions()).changed(changes)
+    chosen = parse_models(models, drive.share)
     numbers = list(range(1, seeds + 1)) if isinstance(seeds, int) else list(dict.fromkeys(seeds))
     if not numbers:
         raise PhaseError("no seeds to run; pass at least 1")
     if jobs is not None and jobs < 1:
         raise PhaseError(f"jobs {jobs} is less than 1; leave it out for one per core")
     out = Path(out_dir)
-    scenario = read_scenario(cfg, tuple(sumo_options))
-    network = read_network(scenario.net, roads)
+    scenario = read_scenario(cfg, tuple(drive.sumo_options))
+    network = drive.network(scenario.net)
+    check = check_scenario(cfg, drive, network)
     network = network.moved(*network.origin)  # as the vehicles' positions
     for stale in OUTPUTS:
         (out / stale).unlink(missing_ok=True)
@@ -107,20 +102,8 @@ def compare(
     run_all(
         [
             {
-                "cfg": str(cfg),
-                "policy": policy,
-                "phase": model.phase,
-                "share": model.share,
-                "explicit": tuple(explicit),
-                "deterministic": deterministic,
-                "time_gap": time_gap,
-                "types": tuple(types or ()),
-                "alpha": alpha,
-                "seed": seed,
-                "model": model.sumo,
-                "roads": roads,
-                "end": end,
-                "sumo_options": tuple(sumo_options),
+                "cfg": cfg,
+                "options": replace(drive, phase=model.phase, share=model.share, model=model.sumo, seed=seed),
                 "output_dir": str(folder),
                 "label": f"{model.name}, seed {seed}:",
             }
@@ -139,22 +122,23 @@ def compare(
     rows = {name: [run.row for run in of_model] for name, of_model in by_model.items()}
     reference = chosen[0].sumo
     comparison = {
-        "scenario": str(cfg),
+        "scenario": scenario.name,
         "network": str(scenario.net),
-        "roads": roads,
+        "roads": drive.roads,
         "models": [model.name for model in chosen],
         "seeds": numbers,
-        "share": Choice(share, explicit=tuple(explicit)).probability,
-        "types": list(types or ()),
-        "alpha": list(alpha) if isinstance(alpha, tuple) else alpha,
-        "time_gap": time_gap,
-        "policy": _policy_name(policy),
-        "policy_info": _policy_info(policy) if any(model.phase for model in chosen) else {},
+        "share": drive.choice(0).probability,
+        "types": list(drive.types or ()),
+        "alpha": list(drive.alpha) if isinstance(drive.alpha, tuple) else drive.alpha,
+        "time_gap": drive.time_gap,
+        "policy": _policy_name(drive.policy),
+        "policy_info": _policy_info(drive.policy) if any(model.phase for model in chosen) else {},
         "background": reference,
         "reference": reference,
         "confidence": CONFIDENCE,
-        "sumo_options": list(sumo_options),
+        "sumo_options": list(drive.sumo_options),
         "section": {"edge": places.section[0], "position": places.section[1]},
+        "check": check.to_json(),
         "runs": [run.row for run in runs.values()],
         "summary": {
             name: summarise(
@@ -174,7 +158,7 @@ def compare(
     if write_report:
         comparison["report"] = str(out / "report.html")
     text = json.dumps(_without_nan(comparison), indent=1)
-    (out / "comparison.json.part").write_text(text + "\n")
+    (out / "comparison.json.part").write_text(text + "\n", encoding="utf-8")
     (out / "comparison.json.part").replace(out / "comparison.json")
     return comparison
 

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from phase_sumo.bridge.drive_options import DriveOptions
 from phase_sumo.bridge.fleet.drivers import Driver
 from phase_sumo.bridge.live import PhaseFleet
 from phase_sumo.bridge.run import run_scenario
@@ -74,7 +75,7 @@ NOTHING = Encounter(np.inf, "", "", np.nan, 0)
 
 
 def read_scene(
-    cfg: str | Path, policy: Driver, time: float, around: str | None, radius: float, seed: int = 0
+    cfg: str | Path | None, options: DriveOptions, time: float, around: str | None, radius: float
 ) -> Scene:
     """Run a scenario under PHASE up to ``time`` s and take the vehicles within ``radius`` m of one.
 
@@ -83,11 +84,11 @@ def read_scene(
     Args:
         around: vehicle in the middle; the one with most others within the radius if None.
     """
-    scenario = read_scenario(cfg)
+    scenario = read_scenario(cfg, tuple(options.sumo_options))
     with tempfile.TemporaryDirectory(prefix="phase_sumo_") as folder:
-        args = command(scenario, Path(folder), redirect_outputs=True, end=time + 1.0)
+        args = command(scenario, Path(folder), redirect_outputs=True, seed=options.seed, end=time + 1.0)
         with Session(args, Path(folder)) as simulation:
-            fleet = PhaseFleet(simulation.api, policy, seed=seed)
+            fleet = PhaseFleet(simulation.api, options=options)
             try:
                 simulation.step()
                 fleet.observe()

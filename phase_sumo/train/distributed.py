@@ -22,15 +22,32 @@ from phase_sumo.errors import PhaseError
 SEED_STRIDE = 1_000_003  # between the seeds of two processes
 
 
-def start() -> torch.device:
-    """Join the others if `torchrun` started this process: on GPUs, where there are any, through NCCL."""
+def start(wanted: str | None = None) -> torch.device:
+    """Join the others if `torchrun` started this process: on GPUs, where there are any, through NCCL.
+
+    Args:
+        wanted: device of a process of its own, e.g. ``"cuda"``; None is the CPU.
+    """
     if "WORLD_SIZE" not in os.environ:
-        return torch.device("cpu")
+        return _device(wanted or "cpu")
+    if wanted:
+        raise PhaseError(
+            f"--device {wanted}: under torchrun every process has a device of its own; leave it out"
+        )
     local = int(os.environ["LOCAL_RANK"])
     device = torch.device("cuda", local) if torch.cuda.is_available() else torch.device("cpu")
     if device.type == "cuda":
         torch.cuda.set_device(device)
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+    return device
+
+
+def _device(name: str) -> torch.device:
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError):
+        raise PhaseError(f"--device {name}: not here; take cpu, or cuda where torch finds a GPU") from None
     return device
 
 

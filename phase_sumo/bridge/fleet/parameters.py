@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from phase_sumo.bridge.sumo.conventions import Kind, ShapeRow, vehicle_kind, vehicle_shape
+from phase_sumo.bridge.sumo.option_names import FALSE, TRUE
 from phase_sumo.errors import PhaseError
 
 ALPHA_BOUNDS = (0.3, 1.0)  # drawn from when nobody says otherwise: below 0.3 a vehicle can hardly keep up
@@ -128,7 +129,12 @@ TRAILER = {
     "trailer_setback": (0.0, 3.0),
 }
 SLACK = 0.1  # m that the vType's box may differ from ours
-TRUE, FALSE = ("1", "yes", "true", "on", "x", "t"), ("0", "no", "false", "off", "-", "f")  # SUMO's
+# every parameter of ours that a vehicle or vType may have
+KEYS = (
+    *("phase.device", "has.phase.device", "device.phase.probability", "phase.type", "phase.alpha"),
+    *("phase.target_speed", "phase.time_gap", "phase.policy", "phase.hitch"),
+    *(f"phase.{name}" for name in BODY | TRAILER),
+)
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,14 @@ TURNS = ("l", "r")  # SUMO's directions of a connection that leads into another 
 
 def road_class(lane: XmlLane) -> str:
     """``"residential"`` of the edge type ``"highway.residential"``; also the last one of combined types."""
-    if "highway." not in lane.kind:
-        return lane.kind or "no road class"
-    return lane.kind.rpartition("highway.")[2].partition("|")[0]
+    return kind_of_road(lane.kind)
+
+
+def kind_of_road(edge_type: str) -> str:
+    """The same of an edge's type alone."""
+    if "highway." not in edge_type:
+        return edge_type or "no road class"
+    return edge_type.rpartition("highway.")[2].partition("|")[0]
 
 
 def freeway_edges(lanes: dict[str, XmlLane], net: XmlNet) -> tuple[set[str], bool]:

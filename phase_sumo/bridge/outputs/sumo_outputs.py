@@ -18,6 +18,7 @@ from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 from phase_sumo.bridge.fleet.event_log import Event, under_policy
 from phase_sumo.bridge.fleet.scene import REMOVED_BY_SUMO, Scene
 from phase_sumo.bridge.outputs.lane_records import LaneChange, LaneChanges, LaneWays, RouteLengths
+from phase_sumo.bridge.sumo.file_names import writes_file, written
 
 
 def read_output(path: Path) -> Any:
@@ -243,6 +244,6 @@ class SumoOutputs:
 
 
 def _path(api: Any, option: str) -> Path | None:
-    """Where SUMO writes an output; None if it does not."""
-    value, prefix = (api.simulation.getOption(name) for name in (option, "output-prefix"))
-    return Path(value).with_name(prefix + Path(value).name) if value else None
+    """Where SUMO writes an output; None if it does not, or not to a file."""
+    value, prefix, suffix = (api.simulation.getOption(n) for n in (option, "output-prefix", "output-suffix"))
+    return written(value, prefix, suffix) if value and writes_file(value) else None

@@ -10,20 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lxml import etree  # type: ignore[attr-defined]  # has no stubs
-
-from phase_sumo.bridge.sumo.demand import Rewrite, empty_settings, mentions, redirect, rewrite_files
+from phase_sumo.bridge.sumo.demand import InputFiles, empty_settings, mentions
+from phase_sumo.bridge.sumo.file_names import OutputFolder, affix, expand, listed, writes_file
+from phase_sumo.bridge.sumo.option_names import TRUE, parse_options, sumo_options
+from phase_sumo.bridge.sumo.scenario_file import existing, read_config, seconds
 from phase_sumo.errors import PhaseError
 
-# Names that SUMO takes for the same option
-SYNONYMS = {
-    "c": "configuration-file", "configuration": "configuration-file",
-    "n": "net-file", "net": "net-file", "r": "route-files", "routes": "route-files",
-    "a": "additional-files", "additional": "additional-files",
-    "b": "begin", "e": "end", "tripinfo": "tripinfo-output", "fcd": "fcd-output",
-    "l": "log", "log-file": "log", "v": "verbose", "W": "no-warnings", "S": "start", "Q": "quit-on-end",
-    "g": "gui-settings-file", "summary": "summary-output",
-}  # fmt: skip
 # The same for every run: a controlled vehicle must neither teleport nor vanish in a collision
 FORCED = {
     "time-to-teleport": "-1",
@@ -48,17 +40,28 @@ QUIET = {
 }
 OWN_USE = ("tripinfo-output", "collision-output")  # outputs that settle our counts at the end
 OUTPUTS = re.compile(
-    r".*-output|netstate-dump|log|message-log|error-log|save-configuration|save-state\.files"
+    r".*-output|netstate-dump|log|message-log|error-log|save-configuration|save-state\.files|"
+    r"device\.(ssm|toc|fcd)\.file|device\..*\.output"
 )
+WHY = {
+    "time-to-teleport": "SUMO would move PHASE vehicles that stand; the same in all runs that are compared",
+    "time-to-teleport.highways": "as above",
+    "time-to-teleport.disconnected": "as above",
+    "collision.action": "SUMO would move or take out PHASE vehicles that touch; collisions are counted",
+    "collision.mingap-factor": "a collision is that boxes touch, not that they are near",
+    "lateral-resolution": "the network has no internal lanes: SUMO crashes there once vehicles are moved",
+    "random": "a seed is given",
+}
+ASKED = "the command line says so"
 
 
 @dataclass(frozen=True)
 class SumoScenario:
-    """A ``.sumocfg`` as read.
+    """A ``.sumocfg`` as read, or the user's options alone.
 
     Attributes:
-        path: the file.
-        config: canonical option name -> value in the file, file names as written.
+        path: the file, or None.
+        config: SUMO's option name -> value in the file, file names as written.
         user: the same for the user's own options, which win.
         net: network file.
         route_files, additional_files: in order.
@@ -66,7 +69,7 @@ class SumoScenario:
         warnings: what is done otherwise than the scenario says, and why.
     """
 
-    path: Path
+    path: Path | None
     config: dict[str, str]
     user: dict[str, str]
     net: Path
@@ -80,32 +83,54 @@ class SumoScenario:
     def value(self, name: str, default: str = "") -> str:
         return self.user.get(name, self.config.get(name, default))
 
+    @property
+    def name(self) -> str:
+        """For people: the file, or the network of a run without one."""
+        return str(self.path or self.net)
+
+    @property
+    def folder(self) -> Path:
+        """That file names in the scenario are relative to."""
+        return self.path.parent if self.path else Path()
+
+    def files(self, option: str) -> tuple[Path, ...]:
+        """The files that an option names."""
+        names = listed(expand(self.value(option)))
+        return tuple(existing(self.path, option, name, self.base(option)) for name in names)
+
+    def base(self, option: str) -> Path:
+        """Folder that the file names of an option are relative to: the user's are as for SUMO."""
+        return Path() if option in self.user else self.folder
+
     def has_device(self, name: str) -> bool:
         """Whether options equip vehicles with one of SUMO's devices."""
         return any(self.value(f"device.{name}.{how}") for how in ("probability", "explicit"))
 
 
-def read_scenario(path: str | Path, sumo_options: list[str] | tuple[str, ...] = ()) -> SumoScenario:
+def read_scenario(path: str | Path | None, sumo_options: list[str] | tuple[str, ...] = ()) -> SumoScenario:
     """Read and check a scenario.
+
+    Args:
+        path: a ``.sumocfg``, or None when ``sumo_options`` name the files (``-n``, ``-r``, ``-a``).
+        sumo_options: further options of SUMO, as words.
 
     Raises:
         PhaseError: the file or one that it names is missing, or an option cannot work with PHASE.
     """
-    path = Path(path)
-    config, user = _read_config(path), parse_options(sumo_options)
+    path = None if path is None else Path(path)
+    config, user = read_config(path) if path else {}, parse_options(sumo_options)
     merged = {**config, **user}
     _refuse(path, merged, user)
-    folder = path.parent
+    folder = path.parent if path else Path()
 
     def files(name: str) -> tuple[Path, ...]:
         base = Path() if name in user else folder
-        parts = re.split(r"[,;]\s*|\s+(?=\S+\.(?:xml|gz))", merged.get(name, "").strip())
-        return tuple(_existing(path, name, part, base) for part in parts if part)
+        return tuple(existing(path, name, part, base) for part in listed(expand(merged.get(name, ""))))
 
     if not files("net-file"):
-        raise PhaseError(f'{path}: no net-file; add <net-file value="..."/> or pass -- -n FILE')
+        raise PhaseError(f'{path or "no scenario"}: no net-file; add <net-file value="..."/> or pass -n FILE')
     net = files("net-file")[0]
-    end = _seconds(path, "end", merged.get("end", "-1"))
+    end = seconds(path, "end", merged.get("end", "-1"))
     sublanes = float(merged.get("lateral-resolution", "0") or 0) > 0 and not mentions(net, (INTERNAL,))
     return SumoScenario(
         path=path,
@@ -114,9 +139,9 @@ def read_scenario(path: str | Path, sumo_options: list[str] | tuple[str, ...] = 
         net=net,
         route_files=files("route-files"),
         additional_files=files("additional-files"),
-        begin=_seconds(path, "begin", merged.get("begin", "0")),
+        begin=seconds(path, "begin", merged.get("begin", "0")),
         end=end if end >= 0 else None,
-        step_length=_seconds(path, "step-length", merged.get("step-length", "1")),
+        step_length=seconds(path, "step-length", merged.get("step-length", "1")),
         warnings=(NO_SUBLANES.format(net),) if sublanes else (),
     )
 
@@ -145,10 +170,63 @@ def check_options(api: Any) -> None:
         ("lanechange.duration", 0.0),
     ):
         text = option(name)
-        if _seconds(Path("SUMO"), name, text) > below:
+        if seconds(None, name, text) > below:
             value = "0" if name == "lanechange.duration" else "-1"
             why = "SUMO may crash" if name == "lanechange.duration" else "it would move PHASE vehicles"
             raise PhaseError(f"SUMO runs with {name}={text}: {why}; start it with --{name} {value}")
+
+
+@dataclass(frozen=True)
+class Change:
+    """An option that a run sets otherwise than its scenario, or than SUMO by default."""
+
+    option: str
+    before: str
+    after: str
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.option} {self.before or 'unset'} -> {self.after} ({self.why})"
+
+
+def changes(scenario: SumoScenario, seed: int | None = None, end: float | None = None) -> list[Change]:
+    """What is not as the scenario says, or as SUMO does where the scenario says nothing, and why."""
+    found = []
+    for name, after in overrides(scenario, seed, end).items():
+        said, forced = scenario.config.get(name), name in WHY and name not in scenario.user
+        if said is None and not forced:
+            continue  # more than the scenario says, not otherwise
+        before = sumo_options()[name].default if said is None else said
+        if not _same(name, before, after):
+            found.append(Change(name, before, after, WHY[name] if forced else ASKED))
+    return found
+
+
+def _same(name: str, a: str, b: str) -> bool:
+    try:
+        one, other = (seconds(None, name, text) for text in (a, b))
+    except PhaseError:
+        kind = sumo_options()[name].kind if name in sumo_options() else ""
+        return (a.lower() in TRUE) == (b.lower() in TRUE) if kind == "BOOL" else a == b
+    return one == other or (name.startswith("time-to-teleport") and max(one, other) <= 0.0)
+
+
+def overrides(scenario: SumoScenario, seed: int | None = None, end: float | None = None) -> dict[str, str]:
+    """Options that every run sets beside the scenario's, the user's own among them.
+
+    Args:
+        seed, end: win over the scenario's, but not over the user's own options.
+    """
+    options = {k: v for k, v in QUIET.items() if not scenario.value(k)}
+    options |= {k: v for k, v in FORCED_IF_SET.items() if k in scenario.config}
+    options |= FORCED
+    if scenario.warnings:
+        options["lateral-resolution"] = "0"
+    if seed is not None:
+        options |= {"seed": str(seed), "random": "false"}
+    if end is not None:
+        options["end"] = f"{end:g}"
+    return options | {k: v for k, v in scenario.user.items() if k not in options or k in ("seed", "end")}
 
 
 def command(
@@ -169,131 +247,76 @@ def command(
         seed, end: override the scenario's, but not the user's own options.
     """
     work_dir.mkdir(parents=True, exist_ok=True)
-    options = {k: v for k, v in QUIET.items() if k not in scenario.user}
-    options |= {k: v for k, v in FORCED_IF_SET.items() if k in scenario.config}
-    options |= FORCED
-    if scenario.warnings:
-        options["lateral-resolution"] = "0"
-    if seed is not None:
-        options["seed"] = str(seed)
-        options["random"] = "false"
-    if end is not None:
-        options["end"] = f"{end:g}"
+    options = overrides(scenario, seed, end)
+    for name in ("output-prefix", "output-suffix"):
+        if scenario.value(name):
+            options[name] = affix(scenario.value(name))
+    prefix, suffix = (options.get(f"output-{what}", "") for what in ("prefix", "suffix"))
+    outputs = OutputFolder(work_dir, prefix, suffix) if redirect_outputs else None
     settings = scenario.value("gui-settings-file")
-    if settings and not (scenario.path.parent / settings).is_file() and not Path(settings).is_file():
+    if settings and not (scenario.folder / settings).is_file() and not Path(settings).is_file():
         options["gui-settings-file"] = str(empty_settings(work_dir))
-    for name, value in scenario.config.items():
-        if OUTPUTS.fullmatch(name) and name not in scenario.user and value:
-            target = redirect(value, work_dir) if redirect_outputs else value
-            (scenario.path.parent / target).parent.mkdir(parents=True, exist_ok=True)
-            if redirect_outputs:
-                options[name] = target
-    for name in OWN_USE:
-        if not scenario.value(name):
-            (work_dir / "inputs").mkdir(exist_ok=True)
-            options[name] = str((work_dir / "inputs" / f"{name}.xml").resolve())
-    if redirect_outputs and scenario.has_device("ssm") and not scenario.value("device.ssm.file"):
-        options["device.ssm.file"] = str((work_dir / "ssm.xml").resolve())
-    wanted = Rewrite(model=model, output_dir=work_dir if redirect_outputs else None)
-    routes, additional = rewrite_files(scenario.route_files, scenario.additional_files, work_dir, wanted)
+    options |= _outputs(scenario, work_dir, outputs)
+    inputs, state = InputFiles(work_dir / "inputs", model, outputs), scenario.files("load-state")
     for name, old, new in (
-        ("route-files", scenario.route_files, routes),
-        ("additional-files", scenario.additional_files, additional),
+        ("route-files", scenario.route_files, inputs.rewritten(scenario.route_files)),
+        ("load-state", state, inputs.rewritten(state)),
+        ("additional-files", scenario.additional_files, inputs.with_types(scenario.additional_files)),
     ):
-        if new and (new != old or ("," not in scenario.value(name) and len(new) > 1)):
+        if new != old:
             options[name] = ",".join(str(p.resolve()) for p in new)
-    user = {k: v for k, v in scenario.user.items() if k not in options or k in ("seed", "end")}
-    options |= user
-    args = ["-c", str(scenario.path)]
+    args = ["-c", str(scenario.path)] if scenario.path else []
     for name, value in options.items():
         args += [f"--{name}", value]
     return args
 
 
-def parse_options(args: list[str] | tuple[str, ...]) -> dict[str, str]:
-    """``["-e", "10", "--fcd-output=x", "--no-warnings"]`` -> canonical name -> value."""
-    result: dict[str, str] = {}
-    waiting: str | None = None
-    for arg in args:
-        is_option = arg.startswith("-") and not re.fullmatch(r"-\d.*", arg)
-        if not is_option:
-            if waiting is None:
-                raise PhaseError(
-                    f"SUMO option {arg!r}: a value without an option; write --NAME VALUE after --"
-                )
-            result[waiting], waiting = arg, None
+def _outputs(scenario: SumoScenario, work_dir: Path, outputs: OutputFolder | None) -> dict[str, str]:
+    """Where SUMO writes: the scenario's outputs into ``outputs``, if given, and those that we need."""
+    options = {}
+    for name in {**scenario.config, **scenario.user}:
+        value = scenario.value(name)
+        if not OUTPUTS.fullmatch(name) or not value:
             continue
-        if waiting is not None:
-            result[waiting] = "true"
-        name, equals, value = arg.lstrip("-").partition("=")
-        waiting = SYNONYMS.get(name, name)
-        if equals:
-            result[waiting], waiting = value, None
-    if waiting is not None:
-        result[waiting] = "true"
-    return result
+        parts = listed(expand(value)) if name == "save-state.files" else [expand(value)]
+        places = [part for part in parts if writes_file(part)]
+        if outputs and name not in scenario.user:
+            parts = [outputs.place(part, scenario.folder) for part in parts]
+            options[name] = ",".join(parts)
+        elif "${" in value:
+            options[name] = ",".join(str((scenario.base(name) / part).resolve()) for part in parts)
+        for part in places if name in scenario.user or not outputs else ():
+            (scenario.base(name) / part).parent.mkdir(parents=True, exist_ok=True)
+    for name in OWN_USE:
+        if not scenario.value(name):
+            (work_dir / "inputs").mkdir(exist_ok=True)
+            options[name] = str((work_dir / "inputs" / f"{name}.xml").resolve())
+    if outputs and scenario.has_device("ssm") and not scenario.value("device.ssm.file"):
+        options["device.ssm.file"] = outputs.place("ssm.xml", scenario.folder)
+    return options
 
 
-def _read_config(path: Path) -> dict[str, str]:
-    if not path.is_file():
-        raise PhaseError(f"{path}: no such scenario file; pass a .sumocfg")
-    try:
-        root = etree.parse(str(path)).getroot()
-    except etree.XMLSyntaxError as error:
-        raise PhaseError(f"{path}: not readable as XML ({error}); pass a .sumocfg") from None
-    config = {}
-    for element in root.iter():
-        if not isinstance(element.tag, str):
-            continue
-        value = element.get("value", element.get("v"))
-        if value is not None:
-            config[SYNONYMS.get(element.tag, element.tag)] = value
-    if not config:
-        raise PhaseError(f"{path}: holds no SUMO options; pass a .sumocfg")
-    return config
-
-
-def _refuse(path: Path, merged: dict[str, str], user: dict[str, str]) -> None:
-    def on(name: str) -> bool:
-        return merged.get(name, "false").lower() in ("true", "1", "yes", "on", "t", "x")
-
-    if on("mesosim"):
+def _refuse(path: Path | None, merged: dict[str, str], user: dict[str, str]) -> None:
+    where = path or "the command line"
+    if merged.get("mesosim", "false").lower() in TRUE:
         raise PhaseError(
-            f"{path}: option mesosim: PHASE needs positions in the lane; pass -- --mesosim false"
+            f"{where}: option mesosim: PHASE needs positions in the lane; pass -- --mesosim false"
         )
     for name, why in (
         ("lanechange.duration", "SUMO may crash when a vehicle in a timed lane change is moved"),
         ("remote-port", "SUMO would wait for another client"),
     ):
         if float(merged.get(name, "0") or 0) > 0:
-            raise PhaseError(f"{path}: option {name}={merged[name]}: {why}; pass -- --{name} 0")
+            raise PhaseError(f"{where}: option {name}={merged[name]}: {why}; pass -- --{name} 0")
     for name in merged:
         if name.startswith("device.phase."):
             raise PhaseError(
-                f"{path}: option {name}: SUMO does not know it; pass it to phase-sumo, see --help"
+                f"{where}: option {name}: SUMO does not know it; pass it to phase-sumo, see --help"
             )
-    for name in ("load-state", "configuration-file", "net-file"):
-        if name in user and name != "net-file":
-            raise PhaseError(f"SUMO option --{name}: not supported after --; put it into the scenario file")
+    if "configuration-file" in user:
+        raise PhaseError("a second scenario behind --: pass one, as CFG.sumocfg or with -c")
     for name, value in FORCED.items():
         if name in user and user[name] != value:
             raise PhaseError(
                 f"SUMO option --{name} {user[name]}: PHASE needs {value} in every run; leave it out"
             )
-
-
-def _existing(path: Path, name: str, part: str, base: Path) -> Path:
-    for candidate in (base / part, base / part.replace("\\", "/")):
-        if candidate.is_file():
-            return candidate
-    raise PhaseError(f"{path}: option {name}: {base / part} does not exist; correct the path in the file")
-
-
-def _seconds(path: Path, name: str, text: str) -> float:
-    """Seconds from SUMO's ``12.5`` or ``[[d:]h:]m:s``."""
-    try:
-        parts = [float(p) for p in text.split(":")]
-    except ValueError:
-        raise PhaseError(f"{path}: option {name}={text!r} is no time; write seconds or hh:mm:ss") from None
-    scale = (1.0, 60.0, 3600.0, 86400.0)
-    return sum(p * s for p, s in zip(reversed(parts), scale, strict=False))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+import threading
 import time as clock
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
@@ -16,7 +17,7 @@ import traci
 
 from phase_sumo.errors import PhaseError
 
-_running = False
+_taken = threading.Lock()  # held while this process has a simulation: by whichever thread
 
 
 class Simulation:
@@ -35,6 +36,13 @@ class Simulation:
         self.refused: type[Exception] = getattr(api, "TraCIException", traci.TraCIException)
         self.failed: type[Exception] = getattr(api, "FatalTraCIError", traci.FatalTraCIError)
         self._reason = reason
+        # they bring vehicles that SUMO does not expect, up to the end that it was given
+        self._calibrated = bool(api.calibrator.getIDList()) and float(api.simulation.getEndTime()) >= 0
+
+    @property
+    def used_up(self) -> bool:
+        """No vehicle or person is there, or still to come."""
+        return not self._calibrated and self.api.simulation.getMinExpectedNumber() == 0
 
     @property
     def time(self) -> float:
@@ -72,51 +80,62 @@ class Session:
         self._api: Any
 
     def __enter__(self) -> Simulation:
-        global _running
-        if _running:
-            raise PhaseError(
-                "a SUMO simulation is already running in this process; run this one in another process"
-            )
         if self._gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
             raise PhaseError(
                 "no display for SUMO's window (DISPLAY is not set): run it on a desktop, over ssh -X, under "
                 "xvfb-run -a, or without --gui"
             )
+        if not _taken.acquire(blocking=False):
+            raise PhaseError(
+                "a SUMO simulation is already running in this process; run this one in another process"
+            )
+        try:
+            return self._start()
+        except BaseException:
+            _taken.release()
+            raise
+
+    def _start(self) -> Simulation:
         args = list(self._args)
         if "--error-log" not in args:
             args += ["--error-log", str(self._log.resolve())]
         if self._gui:
             args += ["--start", "true", "--quit-on-end", "true"]
         binary = "sumo-gui" if self._gui else "sumo"
+        self._api = traci
         try:
             if self._over_traci:
-                self._api = traci
                 _start_sumo(binary, args)
             else:
                 import libsumo
 
+                if libsumo.isLoaded():  # SUMO would replace it without a word
+                    raise PhaseError(
+                        "libsumo runs a simulation that was started elsewhere in this process; close it "
+                        "first, or let PhaseFleet drive in it"
+                    )
                 self._api = libsumo
                 libsumo.start([binary, *args])
-            simulation = Simulation(self._api, self._reason)
+            return Simulation(self._api, self._reason)
+        except PhaseError:
+            raise
         except Exception as error:
             raise PhaseError(f"SUMO did not start: {self._reason(error)}") from None
         except BaseException:  # Ctrl-C while SUMO reads its network: its outputs are open already
             with suppress(Exception):
                 self._api.close()
             raise
-        _running = True
-        return simulation
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        global _running
-        _running = False
         try:
             self._api.close()
         except Exception:
             if error is None:
                 raise
+        finally:
+            _taken.release()
         if self._log.is_file() and self._log.stat().st_size == 0:
             self._log.unlink()
 
@@ -128,7 +147,7 @@ class Session:
             self._wait_for_log()
         else:
             _clean_up(self._api)
-        text = self._log.read_text(errors="replace") if self._log.is_file() else ""
+        text = self._log.read_text(encoding="utf-8", errors="replace") if self._log.is_file() else ""
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         errors = [line for line in lines if line.startswith("Error")]
         return " ".join(errors or lines[-2:] or str(error).split())

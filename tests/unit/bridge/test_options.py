@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from phase_sumo.bridge.sumo.demand import Rewrite, rewrite_files, sumo_model
-from phase_sumo.bridge.sumo.options import command, parse_options, read_scenario
+from phase_sumo.bridge.sumo.demand import InputFiles, sumo_model
+from phase_sumo.bridge.sumo.file_names import OutputFolder, expand, listed, written
+from phase_sumo.bridge.sumo.option_names import parse_options
+from phase_sumo.bridge.sumo.options import changes, command, read_scenario
 from phase_sumo.errors import PhaseError
 from tests.helpers.places import NETWORKS
 
@@ -124,18 +126,34 @@ def test_options_are_parsed_like_sumos():
 
 def test_models_are_replaced_in_every_type_but_pedestrians(scenario_file, tmp_path):
     scenario = read_scenario(scenario_file())
-    routes, additional = rewrite_files(scenario.route_files, (), tmp_path / "w", Rewrite(model="IDM"))
-    text = routes[0].read_text()
+    inputs = InputFiles(tmp_path / "w", model="IDM")
+    (route,), (types,) = inputs.rewritten(scenario.route_files), inputs.with_types(())
+    text = route.read_text(encoding="utf-8")
     assert text.count('carFollowModel="IDM"') == 2
     assert "Krauss" not in text
-    assert 'DEFAULT_VEHTYPE" vClass="passenger" carFollowModel="IDM"' in additional[0].read_text()
+    text = types.read_text(encoding="utf-8")
+    assert 'DEFAULT_VEHTYPE" vClass="passenger" carFollowModel="IDM"' in text
+    assert 'DEFAULT_TAXITYPE" vClass="taxi" carFollowModel="IDM"' in text
+
+
+def test_models_reach_included_files(tmp_path):
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "types.xml").write_text('<routes><vType id="DEFAULT_VEHTYPE" sigma="0"/></routes>')
+    (tmp_path / "deep" / "more.xml").write_text('<routes><include href="types.xml"/></routes>')
+    (tmp_path / "r.xml").write_text('<routes><include href="deep/more.xml"/><include href="r.xml"/></routes>')
+    inputs = InputFiles(tmp_path / "w", model="IDM")
+    (route,), (types,) = inputs.rewritten((tmp_path / "r.xml",)), inputs.with_types(())
+    more = Path(route.read_text(encoding="utf-8").split('href="')[1].split('"')[0])
+    named = Path(more.read_text(encoding="utf-8").split('href="')[1].split('"')[0])
+    assert 'carFollowModel="IDM"' in named.read_text(encoding="utf-8")
+    assert "DEFAULT_VEHTYPE" not in types.read_text(encoding="utf-8")  # defined by the included file
 
 
 def test_files_without_change_are_used_as_they_are(scenario_file, tmp_path):
     scenario = read_scenario(scenario_file())
-    routes, additional = rewrite_files(scenario.route_files, (), tmp_path / "w", Rewrite())
-    assert routes == scenario.route_files
-    assert additional == ()
+    inputs = InputFiles(tmp_path / "w")
+    assert inputs.rewritten(scenario.route_files) == scenario.route_files
+    assert inputs.with_types(()) == ()
 
 
 def test_detector_outputs_go_to_our_folder_and_inputs_stay_found(scenario_file, tmp_path):
@@ -143,17 +161,68 @@ def test_detector_outputs_go_to_our_folder_and_inputs_stay_found(scenario_file, 
     detectors = tmp_path / "det.add.xml"
     detectors.write_text(
         '<additional><inductionLoop id="d" lane="main0_0" pos="9" period="60" file="loops/d.xml"/>'
-        '<edgeData id="e" file="NUL"/><poly id="p" imgFile="pics/p.png" shape="0,0"/></additional>'
+        '<inductionLoop id="e" lane="main0_1" pos="9" period="60" file="loops/d.xml"/>'
+        '<edgeData id="e" file="NUL"/><edgeData id="f" file="other/d.xml"/>'
+        '<vType id="t"><param key="device.ssm.file" value="ssm.xml"/></vType>'
+        '<poly id="p" imgFile="pics/p.png" shape="0,0"/></additional>'
     )
     out = tmp_path / "w"
-    _, (rewritten,) = rewrite_files((), (detectors,), out, Rewrite(output_dir=out))
-    text = rewritten.read_text()
-    assert f'file="{out}/d.xml"' in text
+    (rewritten,) = InputFiles(out, outputs=OutputFolder(out)).rewritten((detectors,))
+    text = rewritten.read_text(encoding="utf-8")
+    assert text.count(f'file="{out}/d.xml"') == 2  # one file for both, as in the scenario
+    assert f'file="{out}/other_d.xml"' in text
+    assert f'value="{out}/ssm.xml"' in text
     assert 'file="NUL"' in text
     assert f'imgFile="{tmp_path}/pics/p.png"' in text
 
 
+def test_no_output_takes_the_name_of_another_or_of_ours(tmp_path):
+    folder = OutputFolder(tmp_path, prefix="trips", suffix="")
+    assert Path(folder.place(".csv", Path("a"))).name == "a_.csv"  # trips.csv is ours
+    plain = OutputFolder(tmp_path)
+    names = [Path(plain.place(name, Path("base"))).name for name in ("a/x.xml", "b/X.xml", "result.json")]
+    assert names == ["x.xml", "b_X.xml", "base_result.json"]
+    assert plain.place("localhost:9000", Path("a")) == "localhost:9000"
+
+
+def test_where_sumo_writes():
+    assert written("o/t.xml.gz", "p_", "_x") == Path("o/p_t_x.xml.gz")
+    assert written("o/t", "sub/", "_x") == Path("o/sub/t_x")
+
+
+def test_lists_and_variables_are_read_as_by_sumo(monkeypatch):
+    monkeypatch.setenv("PART", "one two")
+    assert listed(expand("${PART}.rou.xml, b;c.xml ,${NO_SUCH}d.xml")) == [
+        "one two.rou.xml",
+        "b;c.xml",
+        "d.xml",
+    ]
+
+
+def test_what_is_changed_is_said(scenario_file):
+    path = scenario_file('<random_number><seed value="5"/></random_number><time-to-teleport value="120"/>')
+    told = {c.option: str(c) for c in changes(read_scenario(path, ["-e", "60"]), seed=None)}
+    assert told["time-to-teleport"].startswith("time-to-teleport 120 -> -1 (SUMO would move")
+    assert told["collision.action"].startswith("collision.action teleport -> warn")
+    assert told["end"] == "end 30 -> 60 (the command line says so)"
+    assert "seed" not in told
+    assert [c.option for c in changes(read_scenario(path), seed=7) if "seed" in c.option] == ["seed"]
+    assert not [c for c in changes(read_scenario(path), seed=5) if "seed" in c.option]
+    quiet = scenario_file('<report><time-to-teleport value="0"/><collision.action value="warn"/></report>')
+    assert [c.option for c in changes(read_scenario(quiet))] == ["collision.mingap-factor"]
+
+
+def test_the_scenarios_own_reports_stay(scenario_file, tmp_path):
+    scenario = read_scenario(scenario_file('<report><no-warnings value="false"/></report>'))
+    assert "--no-warnings" not in values(command(scenario, tmp_path / "w"))
+
+
+def test_mistyped_options_get_the_nearest_names(scenario_file):
+    with pytest.raises(PhaseError, match="fdc-output; did you mean --fcd-output"):
+        read_scenario(scenario_file(), ["--fdc-output", "x.xml"])
+
+
 def test_model_names():
     assert sumo_model("eidm") == "EIDM"
-    with pytest.raises(PhaseError, match="idmx"):
+    with pytest.raises(PhaseError, match="idmx.*did you mean idm"):
         sumo_model("idmx")
