@@ -14,7 +14,7 @@ from phase_sumo.cli.words import CommandParser, count, flag, time
 
 RUN_SUMO = ("check", "run", "compare", "search")
 
-SUMOS = "Every option of SUMO passes through (sumo --help lists them), also behind --; -n, -r and -a do without a .sumocfg."
+SUMOS = "Every option of SUMO passes through, also behind --; sumo --help lists them."
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -234,8 +234,7 @@ def make_parser() -> argparse.ArgumentParser:
             sub.add_argument(
                 "--out",
                 metavar="DIR",
-                help="folder for SUMO's and our outputs; SUMO's stay where the scenario has them, without ours, "
-                "if left out",
+                help="folder for SUMO's and our outputs; if left out, SUMO's alone where the scenario has them",
             )
             sub.add_argument("--gui", action="store_true", help="show SUMO's window")
             sub.add_argument(

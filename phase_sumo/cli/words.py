@@ -36,7 +36,7 @@ class Formatter(argparse.HelpFormatter):
 
 
 class CommandParser(argparse.ArgumentParser):
-    """Arguments of one command. Where SUMO runs, options that are SUMO's are set aside in ``sumo_options``."""
+    """Arguments of one command; where SUMO runs, its options are set aside in ``sumo_options``."""
 
     def __init__(self, *args: Any, runs_sumo: bool = False, **kwargs: Any) -> None:
         super().__init__(*args, allow_abbrev=False, formatter_class=Formatter, **kwargs)
@@ -82,7 +82,7 @@ class CommandParser(argparse.ArgumentParser):
             if name.lstrip("-") in sumo_options():
                 return words_of(list(words), at)
             names |= {each: f"--{each}" for each in sumo_options()}
-        self.error(f"there is no option {name}{nearest(name.lstrip('-'), names, '--')}")
+        return self.error(f"there is no option {name}{nearest(name.lstrip('-'), names, '--')}")
 
 
 def split(argv: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -224,5 +224,5 @@ def test_mistyped_options_get_the_nearest_names(scenario_file):
 
 def test_model_names():
     assert sumo_model("eidm") == "EIDM"
-    with pytest.raises(PhaseError, match="idmx.*did you mean idm"):
+    with pytest.raises(PhaseError, match=r"idmx.*did you mean idm"):
         sumo_model("idmx")
