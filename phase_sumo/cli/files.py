@@ -66,7 +66,7 @@ def _converted(network: Any, keep: Path | None) -> Any:
 def write_json(path: Path, result: Any) -> None:
     temporary = path.with_name(path.name + ".part")
     try:
-        temporary.write_text(json.dumps(result, indent=1) + "\n")
+        temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
         os.replace(temporary, path)
     except OSError as error:
         raise PhaseError(

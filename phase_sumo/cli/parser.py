@@ -234,7 +234,7 @@ def make_parser() -> argparse.ArgumentParser:
             sub.add_argument(
                 "--out",
                 metavar="DIR",
-                help="folder for SUMO's and our outputs; if left out, SUMO's alone where the scenario has them",
+                help="folder for SUMO's and our outputs; without, SUMO's stay where the scenario has them",
             )
             sub.add_argument("--gui", action="store_true", help="show SUMO's window")
             sub.add_argument(

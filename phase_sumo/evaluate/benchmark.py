@@ -106,7 +106,7 @@ def load_benchmark(maps: Sequence[MapBundle], worlds: Path = WORLDS, digest: Pat
     maps = sorted(maps, key=lambda bundle: bundle.name)
     with np.load(worlds, allow_pickle=False) as data:
         arrays = {name: data[name] for name in data.files}
-    expected = json.loads(digest.read_text())["sha256"]
+    expected = json.loads(digest.read_text(encoding="utf-8"))["sha256"]
     found = sha256(maps, arrays)
     if found != expected:
         raise PhaseError(

@@ -157,7 +157,7 @@ def compiled(source: str, definitions: dict[str, int]) -> Path | None:
 def _compile(command: list[str], source: str) -> Path:
     """The shared library made by ``command``; from the cache, if it was made before."""
     parts = [HERE / source, *sorted(HERE.glob("*.h"))]
-    key = "\n".join([*command, _processor(), *(part.read_text() for part in parts)])
+    key = "\n".join([*command, _processor(), *(part.read_text(encoding="utf-8") for part in parts)])
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "phase_sumo"
     library = cache / f"{parts[0].stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
     if not library.exists():
@@ -172,5 +172,5 @@ def _compile(command: list[str], source: str) -> Path:
 def _processor() -> str:
     """What ``-march=native`` depends on."""
     info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.exists() else []
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
     return platform.machine() + "".join(sorted({x for x in lines if x.startswith(("flags", "Features"))}))

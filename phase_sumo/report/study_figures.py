@@ -103,7 +103,7 @@ def write_steering(steering: Steering, path: Path) -> None:
                 for level, value in zip(curve.levels, values, strict=True)
                 if np.isfinite(value)
             ]
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows(rows)
 
 

@@ -184,7 +184,7 @@ def _policy_info(policy: Driver | str | Path | None) -> dict[str, str]:
 def _write_runs(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     counts = [name for m in MEASURES.values() if m.count for name in (m.count, m.exposure)]
     names = ["model", "seed", *dict.fromkeys([*ALL_MEASURES, *counts])]
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, names, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
         writer.writerows({name: _cell(row.get(name)) for name in names} for row in rows)
@@ -193,7 +193,7 @@ def _write_runs(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 def _write_summary(path: Path, summary: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> None:
     """One line per model and measure; empty cells where there is no interval or no difference."""
     names = ("mean", "low", "high", "n")
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         head = ("model", "measure", "unit", *names, "interval", *(f"difference_{n}" for n in names))
         writer.writerow(head)

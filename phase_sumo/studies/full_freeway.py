@@ -42,9 +42,11 @@ def write_full_freeway(folder: Path, vehicles: int, seconds: float, seed: int) -
     places = -(-vehicles // (len(WAYS) * LANES))  # of a lane
     sections = int(np.ceil((places * HEADWAY + seconds * FASTEST) / SECTION))
     _write_network(folder, sections)
-    (folder / "full.rou.xml").write_text(_demand(vehicles, places, sections, np.random.default_rng(seed)))
+    (folder / "full.rou.xml").write_text(
+        _demand(vehicles, places, sections, np.random.default_rng(seed)), encoding="utf-8"
+    )
     config = folder / "full.sumocfg"
-    config.write_text(CONFIGURATION)
+    config.write_text(CONFIGURATION, encoding="utf-8")
     return config
 
 
@@ -64,8 +66,8 @@ def _write_network(folder: Path, sections: int) -> None:
                 f'type="highway.motorway" speed="30" width="{WIDTH}" spreadType="right" shape="{shape}"/>'
             )
     plain = {"node": folder / "full.nod.xml", "edge": folder / "full.edg.xml"}
-    plain["node"].write_text("<nodes>\n" + "\n".join(nodes) + "\n</nodes>\n")
-    plain["edge"].write_text("<edges>\n" + "\n".join(edges) + "\n</edges>\n")
+    plain["node"].write_text("<nodes>\n" + "\n".join(nodes) + "\n</nodes>\n", encoding="utf-8")
+    plain["edge"].write_text("<edges>\n" + "\n".join(edges) + "\n</edges>\n", encoding="utf-8")
     files = [option for kind, path in plain.items() for option in (f"--{kind}-files", str(path))]
     output = folder / "full.net.xml"
     netconvert(output, [*files, "--no-turnarounds", "--no-warnings", "--output-file", str(output)])

@@ -94,7 +94,7 @@ def write_road(network: LaneNetwork, folder: Path) -> SumoRoad:
     options = []
     for kind, (root, rows) in files.items():
         path = folder / f"road.{kind[:3]}.xml"
-        path.write_text(f"<{root}>\n" + "\n".join(rows) + f"\n</{root}>\n")
+        path.write_text(f"<{root}>\n" + "\n".join(rows) + f"\n</{root}>\n", encoding="utf-8")
         options += [f"--{kind}-files", str(path)]
     output = folder / "road.net.xml"
     options += ["--offset.disable-normalization", "--no-turnarounds", "--no-warnings", "--precision", "3"]
@@ -262,5 +262,5 @@ def write_demand(window: Window, start: Start, model: str, path: Path) -> list[s
             f'speedFactor="{start.desired[k] / SPEED_LIMIT:.5f}">'
             f'<route edges="{" ".join(start.edges[k])}"/></vehicle>'
         )
-    path.write_text("<routes>\n" + "\n".join(lines) + "\n</routes>\n")
+    path.write_text("<routes>\n" + "\n".join(lines) + "\n</routes>\n", encoding="utf-8")
     return names

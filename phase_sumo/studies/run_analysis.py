@@ -111,7 +111,7 @@ def load(folder: Path) -> Trajectories:
 def analyse(folder: Path, model: Model, seed: int, places: Places) -> Analysis:
     """Read and measure one run."""
     t = load(folder)
-    result = json.loads((folder / "result.json").read_text())
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     f, cells = following(t), edie_cells(t)
     collisions = read_collisions(folder / "events.csv")
     row: dict[str, Any] = {"model": model.name, "seed": seed}
@@ -150,7 +150,7 @@ def pair_travel_times(runs: Mapping[tuple[str, int], Analysis]) -> None:
 
 
 def _travel_times(path: Path) -> dict[str, float]:
-    with path.open(newline="") as file:
+    with path.open(newline="", encoding="utf-8") as file:
         trips = list(csv.DictReader(file))
     return {
         t["vehicle"]: float(t["arrive"]) - float(t["depart"]) for t in trips if t["arrive"] not in ("", "nan")

@@ -61,14 +61,17 @@ def write_scene(folder: Path, name: str, net: Path, vehicles: Sequence[SceneVehi
     if not copy.exists() or not copy.samefile(net):
         shutil.copyfile(net, copy)
     rows = [row for vehicle in vehicles for row in _vehicle(vehicle)]
-    (folder / f"{name}.rou.xml").write_text("<routes>\n" + "\n".join(rows) + "\n</routes>\n")
+    (folder / f"{name}.rou.xml").write_text(
+        "<routes>\n" + "\n".join(rows) + "\n</routes>\n", encoding="utf-8"
+    )
     cfg = folder / f"{name}.sumocfg"
     cfg.write_text(
         "<configuration>\n"
         f'    <input><net-file value={quoteattr(copy.name)}/><route-files value="{name}.rou.xml"/></input>\n'
         f'    <time><begin value="0"/><end value="{seconds:g}"/><step-length value="0.1"/></time>\n'
         '    <processing><collision.action value="warn"/><time-to-teleport value="-1"/></processing>\n'
-        "</configuration>\n"
+        "</configuration>\n",
+        encoding="utf-8",
     )
     return cfg
 

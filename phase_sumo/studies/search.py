@@ -298,8 +298,8 @@ def export(folder: Path, search: Search, vehicles: Sequence[SceneVehicle], facts
     """Write the scenario, what was found (``NAME.json``) and every run of the search (``search.csv``)."""
     cfg = write_scene(folder, folder.name, search.scene.net, vehicles, search.seconds)
     described = facts | {"varied": [v.id for v in search.varied]}
-    (folder / f"{folder.name}.json").write_text(json.dumps(described, indent=1) + "\n")
-    with (folder / "search.csv").open("w", newline="") as file:
+    (folder / f"{folder.name}.json").write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")
+    with (folder / "search.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         parts = ("alpha", "target_speed", "kind", "route")
         heads = [f"{v.id}.{part}" for v in search.varied for part in parts]

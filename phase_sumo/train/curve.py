@@ -47,7 +47,9 @@ class Curve:
     def _read(self) -> list[Cells]:
         if not self._path.exists():
             return []
-        whole, _, _ = self._path.read_text().rpartition("\n")  # what follows the last line's end is torn
+        whole, _, _ = self._path.read_text(encoding="utf-8").rpartition(
+            "\n"
+        )  # what follows the last line's end is torn
         return list(csv.DictReader(whole.splitlines()))
 
     def _rewrite(self, rows: list[Cells]) -> None:

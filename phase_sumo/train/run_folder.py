@@ -82,7 +82,7 @@ class RunFolder:
 
     def _described(self) -> dict[str, Any]:
         try:
-            return json.loads((self.path / CONFIG).read_text())
+            return json.loads((self.path / CONFIG).read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise PhaseError(f"{self.path} holds no run to resume; start one without --resume") from None
 

@@ -39,7 +39,7 @@ class Range:
 def read_table(path: Path, config: TrainConfig) -> list[Range]:
     """Rows of a table with the columns setting, low, high and scale (linear or log)."""
     try:
-        with path.open(newline="") as file:
+        with path.open(newline="", encoding="utf-8") as file:
             ranges = [_range(path, row) for row in csv.DictReader(file)]
     except OSError as error:
         raise PhaseError(f"{path}: cannot be read ({error.strerror}); name a table of settings") from None

@@ -34,7 +34,7 @@ def main() -> None:
         "maps": [bundle.name for bundle in maps],
         "sha256": digest,
     }
-    benchmark.DIGEST.write_text(json.dumps(facts, indent=1) + "\n")
+    benchmark.DIGEST.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
     print(f"{facts['worlds']} worlds, {facts['agents']} agents, SHA-256 {digest}")
 
 

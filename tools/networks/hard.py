@@ -121,8 +121,8 @@ def ramps(name: str, folder: Path) -> Path:
 def _write(output: Path, nodes: str, edges: str, options: dict[str, str]) -> Path:
     with tempfile.TemporaryDirectory() as plain:
         paths = {kind: Path(plain) / f"{kind}.xml" for kind in ("nodes", "edges")}
-        paths["nodes"].write_text(f"<nodes>{nodes}</nodes>")
-        paths["edges"].write_text(f"<edges>{edges}</edges>")
+        paths["nodes"].write_text(f"<nodes>{nodes}</nodes>", encoding="utf-8")
+        paths["edges"].write_text(f"<edges>{edges}</edges>", encoding="utf-8")
         files = {f"{kind[:-1]}-files": path for kind, path in paths.items()}
         run_netconvert(files | options, output)
     return output

@@ -91,7 +91,7 @@ class PlainNetwork:
             ("edg", "edges", self.edges),
             ("con", "connections", self.connections),
         ):
-            paths[kind].write_text(f"<{root}>\n" + "\n".join(rows) + f"\n</{root}>\n")
+            paths[kind].write_text(f"<{root}>\n" + "\n".join(rows) + f"\n</{root}>\n", encoding="utf-8")
         return paths
 
     def _shape(self, line: Line) -> str:
@@ -111,7 +111,7 @@ def netconvert(paths: dict[str, Path], output: Path, left_hand: bool = False) ->
     """
     with tempfile.TemporaryDirectory() as folder:
         types = Path(folder) / "types.typ.xml"
-        types.write_text(TYPES)
+        types.write_text(TYPES, encoding="utf-8")
         options = {
             "node-files": paths["nod"],
             "edge-files": paths["edg"],

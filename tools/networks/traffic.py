@@ -34,7 +34,7 @@ def run_sumo(network: Path, folder: Path) -> TrafficResult:
     """Drive cars and articulated trucks for 120 s at 0.1 s; files go to ``folder``."""
     demand, statistics, trips = (folder / name for name in ("demand.rou.xml", "stats.xml", "trips.xml"))
     flows = _flows(network)
-    demand.write_text("<routes>\n" + TYPES + "\n".join(flows.values()) + "\n</routes>\n")
+    demand.write_text("<routes>\n" + TYPES + "\n".join(flows.values()) + "\n</routes>\n", encoding="utf-8")
     options = {
         "net-file": network,
         "route-files": demand,

@@ -44,7 +44,7 @@ def thinned(run: Path) -> list[Row]:
 
     CPU time is that of rollouts and learning; evaluations and start are left out of both times.
     """
-    with (run / "curve.csv").open() as file:
+    with (run / "curve.csv").open(encoding="utf-8") as file:
         rows = [{name: float(cell) for name, cell in row.items() if cell} for row in csv.DictReader(file)]
     cpu, parts = 0.0, defaultdict(list)
     for row in rows:
@@ -68,19 +68,19 @@ def keep(name: str, run: Path) -> None:
     """Write the thinned curve of a run and its configuration."""
     rows = thinned(run)
     columns = ["steps", "cpu_seconds", "wall_seconds", "rho", *RATES, *HELD_OUT]
-    with (RESULTS / "curves" / f"{name}.csv").open("w", newline="") as file:
+    with (RESULTS / "curves" / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows([f"{row[c]:.6g}" if c in row else "" for c in columns] for row in rows)
-    config = json.loads((run / "config.json").read_text())
-    (RESULTS / "curves" / f"{name}.json").write_text(json.dumps(config, indent=1) + "\n")
+    config = json.loads((run / "config.json").read_text(encoding="utf-8"))
+    (RESULTS / "curves" / f"{name}.json").write_text(json.dumps(config, indent=1) + "\n", encoding="utf-8")
 
 
 def stored() -> dict[str, list[list[Row]]]:
     """The curves in results/curves by preset (and length, where it is named), one list of rows per seed."""
     curves: dict[str, list[list[Row]]] = {preset: [] for preset in PRESETS}
     for path in sorted((RESULTS / "curves").glob("*.csv")):
-        with path.open() as file:
+        with path.open(encoding="utf-8") as file:
             rows = [{n: float(cell) for n, cell in row.items() if cell} for row in csv.DictReader(file)]
         curves.setdefault(path.stem.rpartition("-")[0], []).append(rows)
     return {preset: runs for preset, runs in curves.items() if runs}

@@ -172,8 +172,8 @@ def main() -> None:
     args = parser.parse_args()
     found = measure(args.logs, RESULTS)
     (RESULTS / "encoder.safetensors").unlink(missing_ok=True)  # learnt from logs that are not ours to pass on
-    (RESULTS / "tables.json").write_text(json.dumps(found, indent=1) + "\n")
-    (RESULTS / "tables.md").write_text(tables(found))
+    (RESULTS / "tables.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    (RESULTS / "tables.md").write_text(tables(found), encoding="utf-8")
     figures()
 
 

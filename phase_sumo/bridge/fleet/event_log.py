@@ -137,7 +137,7 @@ def under_policy(turns: list[Event], time: float) -> bool:
 
 def write_events(path: Path, events: Iterable[Event]) -> None:
     """One CSV line per event; empty cells where something does not apply."""
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(field.name for field in fields(Event))
         writer.writerows([_cell(value) for value in asdict(event).values()] for event in events)
@@ -146,7 +146,7 @@ def write_events(path: Path, events: Iterable[Event]) -> None:
 def read_events(path: Path) -> list[Event]:
     """Inverse of `write_events`."""
     kinds = {field.name: str(field.type) for field in fields(Event)}
-    with path.open(newline="") as file:
+    with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     return [Event(**{name: _value(kinds[name], text) for name, text in row.items()}) for row in rows]
 

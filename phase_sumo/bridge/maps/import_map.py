@@ -88,7 +88,7 @@ def _osm_options(path: Path, source: Path, keep: str, left_hand: bool) -> tuple[
         raise PhaseError(
             f"{path}: no motorway or trunk road among {ways.total()} roads; keep all (--keep all)"
         )
-    (source.parent / "us.typ.xml").write_text(US_FREEWAY)
+    (source.parent / "us.typ.xml").write_text(US_FREEWAY, encoding="utf-8")
     standard = Path(sumo.SUMO_HOME) / "data" / "typemap" / "osmNetconvert.typ.xml"
     options = ["--osm-files", str(source), "--type-files", f"{standard},{source.parent / 'us.typ.xml'}"]
     options += ["--osm.lane-access", "--osm.turn-lanes", "--ramps.guess", "--geometry.remove"]

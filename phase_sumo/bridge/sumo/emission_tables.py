@@ -36,7 +36,7 @@ def _table(name: str) -> EmissionTable | None:
     with tempfile.TemporaryDirectory(prefix="phase_sumo_") as folder:
         path = Path(folder) / "map.csv"
         subprocess.run([*args, "--output", str(path)], capture_output=True, check=False)
-        lines = path.read_text().splitlines() if path.is_file() else []
+        lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
     speed, accel = (a + step * np.arange(0.0, round((b - a) / step) + 1) for a, b, step in (SPEED, ACCEL))
     rates: dict[str, list[float]] = {"fuel": [], "CO2": []}
     for line in lines:
