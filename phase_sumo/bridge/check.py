@@ -59,6 +59,12 @@ class Check:
 
     def lines(self) -> list[str]:
         """Ten lines for people, and one for each warning."""
+        rows = [*self.rows().items(), *(("warning", text) for text in self.warnings)]
+        wide = max(len(name) for name, _ in rows)
+        return [f"{name:<{wide}}  {text}" for name, text in rows]
+
+    def rows(self) -> dict[str, str]:
+        """Ten headings and what is to be said there."""
         time, roads = self.time, self.roads
         end = "no end" if time["end"] is None else f"{time['end']:g} s"
         seed = "random" if time["seed"] is None else time["seed"]
@@ -67,23 +73,19 @@ class Check:
         lights, signs = self.signals["traffic_lights"], self.signals["signs"]
         signals = [f"{len(lights)} traffic lights ({_some(lights)})"] * bool(lights)
         signals += [f"{count} {name}" for name, count in signs.items()]
-        stops = f"{self.stops['on_driven_roads']} on them, {self.stops['elsewhere']} elsewhere; "
-        rows = {
+        stops = f"{self.stops['on_driven_roads']} on PHASE's roads, {self.stops['elsewhere']} elsewhere; "
+        return {
             "scenario": f"{self.scenario}, network {self.network}",
             "time": f"{time['begin']:g} s to {end}, steps of {time['step_length']:g} s, seed {seed}",
             "PHASE drives": driven,
             "SUMO drives": f"the other roads: {_counts(self.other_roads)}",
             "PHASE's vehicles": f"{_counts(self.phase)}; {100 * self.share:g} % of these",
             "SUMO's vehicles": _counts(self.sumo),
-            "right of way": f"between PHASE's roads: {', '.join(signals) or 'nothing to wait for'}",
-            "stops": f"{stops}SUMO drives before and at them",
+            "right of way": f"between these roads: {', '.join(signals) or 'nothing to wait for'}",
+            "stops": f"{stops}SUMO drives before and at them" if any(self.stops.values()) else "none",
             "on the way": _counts(self.rerouting),
             "changed": "; ".join(self.changed) or "nothing",
         }
-        wide = max(map(len, rows))
-        return [f"{name:<{wide}}  {text}" for name, text in rows.items()] + [
-            f"{'warning':<{wide}}  {text}" for text in self.warnings
-        ]
 
 
 def check_scenario(

@@ -217,7 +217,7 @@ def make_parser() -> argparse.ArgumentParser:
             nargs="+",
             type=float,
             metavar="A",
-            help="action range, one value or two bounds in 0.1..1",
+            help="action range, one value or two bounds in 0.1..1; drawn from 0.3..1 if left out",
         )
         sub.add_argument(
             "--time-gap",

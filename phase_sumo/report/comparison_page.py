@@ -15,6 +15,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from phase_sumo import __version__
+from phase_sumo.bridge.check import Check
 from phase_sumo.evaluate import measures, surrogate_safety, traffic
 from phase_sumo.evaluate.measures import MEASURES, Measure
 from phase_sumo.evaluate.traffic import Corridor
@@ -71,6 +72,7 @@ def write_report(
             (label(m), _image(road_pictures.draw_snapshot(network, t, view, moment)), _caption(t, moment))
             for m, t in first.items()
         ],
+        check=Check(**comparison["check"]).rows() if "check" in comparison else {},
         moment=moment,
         distributions=[
             (curve.title, Markup(plots.distribution(runs, name))) for name, curve in measures.CURVES.items()

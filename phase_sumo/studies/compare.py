@@ -93,7 +93,7 @@ def compare(
     out = Path(out_dir)
     scenario = read_scenario(cfg, tuple(drive.sumo_options))
     network = drive.network(scenario.net)
-    check = check_scenario(cfg, drive, network)
+    check = check_scenario(cfg, replace(drive, seed=numbers[0]), network)
     network = network.moved(*network.origin)  # as the vehicles' positions
     for stale in OUTPUTS:
         (out / stale).unlink(missing_ok=True)

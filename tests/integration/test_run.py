@@ -5,7 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
+import libsumo
 import pytest
 
 from phase_sumo.bridge.run import run_scenario
@@ -145,9 +148,80 @@ def test_hitch_angles_reach_sumos_trajectory_output(scenario, tmp_path):
     assert "phase.hitch=" in fcd.read_text() or "phase_hitch=" in fcd.read_text()
 
 
-def test_unknown_types_are_told(scenario):
-    result = run_scenario(scenario(), policy=Standin(), seed=1, types=["nosuch"], end=5)
-    assert any("nosuch" in text for text in result["warnings"])
+def test_types_and_ids_that_no_file_has_are_refused(scenario):
+    with pytest.raises(PhaseError, match=r"'smei' is in none.*did you mean semi"):
+        run_scenario(scenario(), policy=Standin(), seed=1, types=["smei"], end=5)
+    result = run_scenario(scenario(), policy=Standin(), seed=1, explicit=["m.17"], end=5)
+    assert any("m.17" in text for text in result["warnings"])  # it comes later
+
+
+def test_the_check_is_part_of_the_result_and_the_scenarios_seed_holds(scenario, tmp_path):
+    cfg = scenario()
+    cfg.write_text(cfg.read_text(encoding="utf-8").replace("<time>", '<seed value="9"/><time>'))
+    result = run_scenario(cfg, policy=Standin(), end=5, output_dir=tmp_path / "out", record=False)
+    assert result["seed"] == result["check"]["time"]["seed"] == 9
+    stored = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert stored["check"] == result["check"]
+    assert "end 40 -> 5 (the command line says so)" in result["check"]["changed"]
+
+
+def test_demand_from_calibrators_alone_runs_to_the_end(scenario, tmp_path):
+    cfg = scenario(end=10)
+    (tmp_path / "demand.rou.xml").write_text(
+        '<routes><vType id="car"/><route id="r" edges="main0 main1 main2"/><calibrator id="c" edge="main0" '
+        'pos="5"><flow begin="0" end="9" route="r" vehsPerHour="1800" speed="30" type="car"/></calibrator>'
+        "</routes>"
+    )
+    text = cfg.read_text(encoding="utf-8")
+    cfg.write_text(text.replace("route-files", "additional-files"))
+    result = run_scenario(cfg, policy=Standin())
+    assert result["sim_seconds"] == pytest.approx(10.0)
+    assert result["vehicles"] > 2
+
+
+def test_a_second_thread_is_refused_in_one_line_and_the_first_one_runs_on(scenario):
+    cfg = scenario()
+    with ThreadPoolExecutor(1) as pool:
+        started = threading.Event()
+
+        def watch(fraction, text):
+            started.set()
+
+        first = pool.submit(run_scenario, cfg, policy=Standin(), progress=watch)
+        assert started.wait(60)
+        with pytest.raises(PhaseError, match="already running in this process"):
+            run_scenario(cfg, policy=Standin(), end=1)
+        assert first.result()["vehicles"] > 20
+    assert run_scenario(cfg, policy=Standin(), end=1)["sim_seconds"] == pytest.approx(1.0)
+
+
+def test_a_simulation_started_elsewhere_is_not_replaced(scenario):
+    libsumo.start(["sumo", "-n", str(NETWORK), "--no-step-log", "true"])
+    try:
+        with pytest.raises(PhaseError, match="started elsewhere"):
+            run_scenario(scenario(), policy=Standin(), end=1)
+        libsumo.simulationStep()
+    finally:
+        libsumo.close()
+
+
+@pytest.mark.parametrize("affixes", [("", ""), ("TIME_", "_x"), ("p${PID}_", "")])
+def test_outputs_are_put_right_whatever_their_names(scenario, tmp_path, affixes):
+    cfg = scenario()
+    more = '<tripinfo-output value="a/result.json"/><lanechange-output value="b/result.json"/>'
+    more += "".join(
+        f'<output-{n} value="{v}"/>' for n, v in zip(("prefix", "suffix"), affixes, strict=True) if v
+    )
+    cfg.write_text(cfg.read_text(encoding="utf-8").replace("<time>", more + "<time>"))
+    out = tmp_path / "out"
+    result = run_scenario(cfg, policy=Standin(), seed=1, end=30, output_dir=out, record=False)
+    assert result["warnings"] == []
+    names = [p.name for p in out.rglob("*") if p.is_file()]
+    xml = [name for name in names if (out / name).is_file() and b"<tripinfos" in (out / name).read_bytes()]
+    assert len(xml) == 1 and "a_result" in xml[0]
+    assert sum("b_result" in name for name in names) == 1
+    assert json.loads((out / "result.json").read_text(encoding="utf-8"))["vehicles"] == result["vehicles"]
+    assert not [name for name in names if "tripinfo" in name or "collision" in name]  # ours alone, gone
 
 
 def test_a_run_that_breaks_off_leaves_no_older_result(scenario, tmp_path):

@@ -31,6 +31,25 @@ def test_no_test_file_imports_another():
     assert [p for p in tests if any(name.split(".")[-1].startswith("test_") for name in imported(p))] == []
 
 
+def opens_text(call: ast.Call) -> bool:
+    """Whether a call opens a text file without saying how it is encoded."""
+    name = call.func.attr if isinstance(call.func, ast.Attribute) else ""
+    modes = [ast.unparse(each) for each in (*call.args, *(k.value for k in call.keywords))]
+    binary = name == "open" and (any("b" in mode for mode in modes) or "str(path)" in ast.unparse(call.func))
+    texts = name in ("read_text", "write_text", "open") and "gzip" not in ast.unparse(call.func)
+    return texts and not binary and not any(k.arg == "encoding" for k in call.keywords)
+
+
+def test_text_files_are_utf8_in_any_locale():
+    paths = [path for room in ("phase_sumo", "tools") for path in (ROOT / room).rglob("*.py")]
+    assert [
+        f"{path}:{node.lineno}"
+        for path in paths
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and opens_text(node)
+    ] == []
+
+
 def test_tools_need_neither_the_command_line_nor_path_tricks():
     tools = list((ROOT / "tools").rglob("*.py"))
     assert len(tools) > 15
