@@ -53,6 +53,7 @@ WHY = {
     "random": "a seed is given",
 }
 ASKED = "the command line says so"
+NOISE = "our own lines tell how the run goes; pass it on the command line to have it"
 
 
 @dataclass(frozen=True)
@@ -198,7 +199,8 @@ def changes(scenario: SumoScenario, seed: int | None = None, end: float | None =
             continue  # more than the scenario says, not otherwise
         before = sumo_options()[name].default if said is None else said
         if not _same(name, before, after):
-            found.append(Change(name, before, after, WHY[name] if forced else ASKED))
+            why = NOISE if name in QUIET else ASKED
+            found.append(Change(name, before, after, WHY[name] if forced else why))
     return found
 
 
@@ -217,7 +219,7 @@ def overrides(scenario: SumoScenario, seed: int | None = None, end: float | None
     Args:
         seed, end: win over the scenario's, but not over the user's own options.
     """
-    options = {k: v for k, v in QUIET.items() if not scenario.value(k)}
+    options = {k: v for k, v in QUIET.items() if k not in scenario.user}
     options |= {k: v for k, v in FORCED_IF_SET.items() if k in scenario.config}
     options |= FORCED
     if scenario.warnings:

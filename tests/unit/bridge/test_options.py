@@ -212,9 +212,12 @@ def test_what_is_changed_is_said(scenario_file):
     assert [c.option for c in changes(read_scenario(quiet))] == ["collision.mingap-factor"]
 
 
-def test_the_scenarios_own_reports_stay(scenario_file, tmp_path):
-    scenario = read_scenario(scenario_file('<report><no-warnings value="false"/></report>'))
-    assert "--no-warnings" not in values(command(scenario, tmp_path / "w"))
+def test_reports_that_are_silenced_are_said_and_may_be_asked_for(scenario_file, tmp_path):
+    path = scenario_file('<report><verbose value="true"/></report>')
+    assert "verbose true -> false (our own" in " ".join(map(str, changes(read_scenario(path))))
+    scenario = read_scenario(path, ["--verbose"])
+    assert values(command(scenario, tmp_path / "w"))["--verbose"] == "true"
+    assert "verbose" not in {c.option for c in changes(scenario)}
 
 
 def test_mistyped_options_get_the_nearest_names(scenario_file):

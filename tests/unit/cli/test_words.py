@@ -47,7 +47,7 @@ def test_a_network_and_routes_do_without_a_scenario_file():
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["run", "x.sumocfg", "--fdc-output", "f"], ["usage: phase-sumo run", "--fdc-output", "--fcd-output"]),
+        (["run", "x.sumocfg", "--fdc-output", "f"], ["phase-sumo run", "--fdc-output", "--fcd-output"]),
         (["run", "x.sumocfg", "--shar", "0.5"], ["--shar;", "--share"]),
         (["train", "--networks", "x", "--run", "y", "--step", "5"], ["usage: phase-sumo train", "--steps"]),
         (["evaluate", "--scenarios", "x", "--fcd-output", "f"], ["usage: phase-sumo evaluate", "no option"]),
