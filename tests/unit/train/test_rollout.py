@@ -25,7 +25,7 @@ def test_samples_are_those_of_the_active_agents_in_order(straight_map):
     network, buffer = build_network(config.network, config.actions).eval(), Buffer(env, 5)
     generator = torch.Generator().manual_seed(1)
     for _ in range(2):  # the second one finds the first one's samples in the buffer
-        first = env.observation.rows(env.worlds.active)
+        first = env.observation.rows(env.worlds.controlled)
         rollout = collect(env, network, buffer, 5, 0.99, (MEAN, STD), generator, bf16=False)
         with torch.no_grad():
             logits, value = network(rollout.observation)
@@ -33,7 +33,7 @@ def test_samples_are_those_of_the_active_agents_in_order(straight_map):
         torch.testing.assert_close(rollout.log_prob, taken)
         torch.testing.assert_close(rollout.value[rollout.active], value * STD + MEAN)
         assert torch.equal(rollout.observation.road[: len(first)], first.road)
-        active = env.worlds.active
+        active = env.worlds.controlled
         with torch.no_grad():
             last = network(env.observation.rows(active))[1] * STD + MEAN
         torch.testing.assert_close(rollout.last_value[active], last)
