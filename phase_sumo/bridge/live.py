@@ -18,6 +18,7 @@ from phase_sumo.bridge.fleet.fleet import Fleet
 from phase_sumo.bridge.fleet.parameters import Parameters
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.scene import Scene
+from phase_sumo.bridge.fleet.standing import StandingWatch
 from phase_sumo.bridge.maps.levels import Levels
 from phase_sumo.bridge.maps.sumo_network import odd_lengths
 from phase_sumo.bridge.outputs.trailers import Trailers
@@ -76,6 +77,7 @@ class PhaseFleet(StepListener):
             network = drive.network(option("net-file"))
         edges = frozenset(lane.edge for lane in network.lanes if not lane.connector)
         self.scene = Scene(self.simulation, edges, network.origin)
+        self._standing = StandingWatch(self.scene)
         self._levels, self._road_warnings = Levels(network), odd_lengths(network.warnings)
         self._contacts = ContactMonitor(self.scene.events, self._touching)
         self._trailers = Trailers(api, self.scene.table) if api.hasGUI() else None
@@ -124,9 +126,14 @@ class PhaseFleet(StepListener):
             )
         self._last, self._pending = time, False
         self.scene.update()
+        self._standing.update(time)
         if self._fleet and not self._closed:
             self._fleet.follow_sumo(time)
-        self._contacts.update(self.scene.table, time, self.scene.types)
+        for event in self._contacts.update(self.scene.table, time, self.scene.types):
+            for vehicle in (event.vehicle, event.other):
+                self.scene.trips[vehicle].after_hand_back += (
+                    event.after_hand_back and self.scene.events.given_back(vehicle)
+                )
         if self._fleet and not self._closed:
             self._fleet.clear(self._contacts.wrecks(time))
         if self._trailers:
@@ -210,6 +217,7 @@ class PhaseFleet(StepListener):
             "collisions": len(collisions),
             "phase_collisions": sum(c.with_phase for c in collisions),
             "phase_at_fault_collisions": sum(c.phase_at_fault for c in collisions),
+            "collisions_after_hand_back": sum(c.after_hand_back for c in collisions),
             "off_road": len(events.of("road edge")),
             "phase_vehicle_km": sum(t.policy_metres for t in trips) / 1000.0,
             "sim_seconds": self._last - self._start,
@@ -286,7 +294,7 @@ class PhaseFleet(StepListener):
             found.append("no vehicle was inserted: check the demand and its times")
         elif self._fleet and wanted and not any(t.adopted for t in trips.values()):
             found.append("no vehicle was driven by PHASE: check share, types and roads")
-        return found
+        return found + self._standing.warnings()
 
 
 def _ratio(part: float, whole: float) -> float:

@@ -56,7 +56,9 @@ def run_scenario(
 
     Returns:
         The command line's JSON: vehicles, phase_vehicles, arrived, phase_collisions,
-        phase_at_fault_collisions, off_road, phase_vehicle_km, sim_seconds, wall_seconds, real_time_factor,
+        phase_at_fault_collisions, collisions_after_hand_back (of vehicles that SUMO has driven for 10 s at
+        most, not among those of PHASE), off_road, phase_vehicle_km, sim_seconds, wall_seconds,
+        real_time_factor,
         policy_cpu_us_per_vehicle_step, share_of_time_under_policy, share_of_freeway_time_under_policy (of the
         PHASE vehicles' time on ``roads``), accounts (inserted = arrived + running + removed by reason),
         warnings, check (see `Check`), and more of the kind.

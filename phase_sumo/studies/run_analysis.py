@@ -48,6 +48,9 @@ PHASE_MEASURES = {
     "phase_vehicle_km": Measure("Distance under the policy", "veh-km", 1, "PHASE vehicles"),
     "phase_collisions": Measure("Collisions with a PHASE vehicle", "", 0, "PHASE vehicles"),
     "phase_at_fault_collisions": Measure("… of them its fault", "", 0, "PHASE vehicles"),
+    "collisions_after_hand_back": Measure(
+        "Collisions of others, 10 s after the policy gave one back", "", 0, "PHASE vehicles"
+    ),
     "off_road": Measure("Contacts with the road edge", "", 0, "PHASE vehicles"),
     "real_time_factor": Measure("Real-time factor of the run", "×", 1, "PHASE vehicles"),
     "policy_cpu_us_per_vehicle_step": Measure(

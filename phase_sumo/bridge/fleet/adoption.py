@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator
+import contextlib
+from collections.abc import Container, Iterator
 
 import numpy as np
 
 from phase_sumo.bridge.fleet.drivers import Drivers, Member
+from phase_sumo.bridge.fleet.occupancy import Occupancy, standing_rooms
 from phase_sumo.bridge.fleet.parameters import Choice, Parameters
+from phase_sumo.bridge.fleet.plans import Plans, stops_soon
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import curve_speed, kept_stretch, remaining
 from phase_sumo.bridge.fleet.route_views import RouteLanes
@@ -17,6 +20,9 @@ from phase_sumo.errors import PhaseError
 ADOPT_ROOM = 150.0  # m of observed road ahead below which a vehicle is left to SUMO
 ALIGNED = 0.1  # rad that a vehicle's heading may differ from its lane's: SUMO's turn off as fast as they like
 TOO_FAST = 4.0  # m/s above what the curves ahead allow with gentle braking
+QUEUE_TIME, QUEUE_ROOM = 5.0, 60.0  # s of driving, at least m, to one who stands: SUMO's until it goes on
+STOP_MARGIN = 1.5  # times the room before a stop, or a vehicle would be given back at once
+REST = 5.0  # s for which a vehicle that was given back stays SUMO's
 SPEED_MODE, LANE_MODE = 96, 0  # SUMO checks nothing while we drive
 
 
@@ -33,14 +39,15 @@ class Adoption:
         road: Road,
         choice: Choice,
         drivers: Drivers,
-        lanes: Callable[[tuple[str, ...], bool], RouteLanes],
+        plans: Plans,
     ) -> None:
-        """``lanes`` gives the route lanes of a stretch of edges, for a truck or not."""
         self._scene, self._api, self._table = scene, scene.api, scene.table
-        self._road, self._lanes = road, lanes
-        self._choice, self._drivers = choice, drivers
+        self._road = road
+        self._choice, self._drivers, self._plans = choice, drivers, plans
         self.left_to_sumo: set[str] = set()
         self._waiting: set[str] = set()  # chosen, but not where they can be taken over
+        self._occupancy: Occupancy | None = None
+        self._rests: dict[str, float] = {}
         self._asked = 0
 
     def take_over(self, node: np.ndarray, driven: Container[str]) -> Iterator[tuple[str, Member]]:
@@ -50,23 +57,35 @@ class Adoption:
             node: [N] node of each row's front bumper, -1 off the road.
             driven: ids of those that it drives already.
         """
+        self._occupancy = None
         for vehicle, lane in list(self._scene.lane_of.items()):
             if vehicle in self.left_to_sumo or vehicle in driven or lane.startswith(":"):
                 continue
             facts = self._scene.facts[vehicle]
             if vehicle not in self._waiting:
-                if facts.kind is None or not self._wanted(vehicle, facts.type):
+                if facts.kind is None or self._serves(vehicle) or not self._wanted(vehicle, facts.type):
                     self.left_to_sumo.add(vehicle)
                     continue
                 self._waiting.add(vehicle)
             row = self._table.row_of[vehicle]
+            if self._rests and self._rests.get(vehicle, 0.0) > self._scene.session.time:
+                continue
             found = self._stretch(vehicle, int(node[row]), bool(facts.shape.truck))
-            if found:
+            if found and not self._queues(node, row, found[0]):
                 self._waiting.remove(vehicle)
+                self._steer(row, int(node[row]))
                 yield vehicle, self._take(vehicle, row, *found)
+
+    def wait(self, vehicle: str) -> None:
+        """A vehicle that was given back may be taken over again after a while."""
+        self.left_to_sumo.discard(vehicle)
+        self._waiting.add(vehicle)
+        self._rests[vehicle] = self._scene.session.time + REST
 
     def forget_absent(self) -> None:
         """Keep nothing of vehicles that left the simulation."""
+        for vehicle in self._rests.keys() - self._scene.facts.keys():
+            del self._rests[vehicle]
         self.left_to_sumo.intersection_update(self._scene.facts)
         self._waiting.intersection_update(self._scene.facts)
 
@@ -79,9 +98,9 @@ class Adoption:
         route = tuple(self._api.vehicle.getRoute(vehicle))
         at = self._api.vehicle.getRouteIndex(vehicle)
         edges = kept_stretch(self._road, route, at)
-        if not edges or self._stops_on(vehicle, edges) or len(set(route)) < len(route):
+        if not edges or self._stops_soon(vehicle, edges) or len(set(route)) < len(route):
             return None  # on a route that uses an edge twice, SUMO finds moved vehicles on the first lap
-        lanes = self._lanes(edges, truck)
+        lanes = self._plans.lanes(edges, truck)
         row, here = self._table.row_of[vehicle], np.array([node])
         turn = float(self._table["yaw"][row] - self._road.graph.node_yaw[node])
         if np.cos(turn) < np.cos(ALIGNED):
@@ -95,10 +114,27 @@ class Adoption:
             return None
         return lanes, edges, leads_off
 
-    def _stops_on(self, vehicle: str, edges: tuple[str, ...]) -> bool:
+    def _stops_soon(self, vehicle: str, edges: tuple[str, ...]) -> bool:
         """Whether it has a stop ahead or under way there: SUMO drives until it is done."""
-        stops = self._api.vehicle.getStops(vehicle, 1)
-        return bool(stops) and self._scene.edge(stops[0].lane) in edges
+        room = self._plans.stop_room(vehicle, edges)
+        speed = float(self._table["speed"][self._table.row_of[vehicle]])
+        return np.isfinite(room) and stops_soon(room / STOP_MARGIN, speed)
+
+    def _queues(self, node: np.ndarray, row: int, lanes: RouteLanes) -> bool:
+        """Whether somebody stands before the vehicle, or beside its way."""
+        if self._occupancy is None:
+            self._occupancy = Occupancy(self._road, self._table, node)
+        rooms = standing_rooms(self._road, self._occupancy, node[[row]], np.array([row]), [lanes])
+        return min(float(room[0]) for room in rooms) < max(
+            QUEUE_TIME * float(self._table["speed"][row]), QUEUE_ROOM
+        )
+
+    def _serves(self, vehicle: str) -> bool:
+        """Whether it is a taxi or runs on a line, whose stops and passengers are SUMO's."""
+        api, taxi = self._api.vehicle, ""
+        with contextlib.suppress(self._scene.session.refused):
+            taxi = api.getParameter(vehicle, "has.taxi.device")
+        return taxi == "true" or bool(api.getLine(vehicle))
 
     def _wanted(self, vehicle: str, kind: str) -> bool:
         marks = Parameters(self._api, vehicle, kind).marks()
@@ -107,6 +143,17 @@ class Adoption:
             return certain
         self._asked += 1
         return self._choice.drawn(vehicle, kind, self._asked - 1, marks.share)
+
+    def _steer(self, row: int, node: int) -> None:
+        """Wheels, and a trailer that was never seen to move, as the road bends: SUMO knows neither."""
+        table = self._table
+        back = int(table["length"][row] - table["rear_overhang"][row])  # m from the bumper to the rear axle
+        at = max(node - back, int(self._road.graph.lane_start[node]))
+        curvature = float(self._road.graph.node_curvature[at])
+        table["steer"][row] = np.arctan(table["wheelbase"][row] * curvature)
+        table["steer_history"][row] = table["steer"][row]
+        if table["hitch"][row] == 0.0:
+            table["hitch"][row] = np.arcsin(np.clip(table["trailer_base"][row] * curvature, -0.9, 0.9))
 
     def _take(
         self, vehicle: str, row: int, lanes: RouteLanes, edges: tuple[str, ...], leads_off: bool
@@ -123,10 +170,12 @@ class Adoption:
         bounds = sim.truck_accel_bounds if table["truck"][row] else sim.accel_bounds
         table["accel"][row] = np.clip(table["accel"][row], *bounds)
         table["accel_history"][row] = table["accel"][row]
+        self._plans.remember(vehicle, member)
         self._scene.lane_of.pop(vehicle, None)
         self._scene.trips[vehicle].adopted = True
         fresh = vehicle in self._scene.departed
-        self._scene.events.record("adoption", vehicle, "departed" if fresh else "reached the observed road")
+        reason = "departed" if fresh else "reached the observed road"
+        self._scene.events.record("adoption", vehicle, "taken back" if vehicle in self._rests else reason)
         return member
 
     def read_context(self, vehicle: str, row: int, member: Member) -> None:

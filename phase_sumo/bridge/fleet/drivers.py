@@ -89,6 +89,9 @@ class Member:
         off_lane_until: time until which SUMO is told a position on a lane, see `PoseWriter`.
         edge_event, edge_begin, edge_contact: its last contact with the road edge, first and last time of it.
         wrong: already counted as being off its route.
+        trip: edges of its route from where it was last looked at, all the way to its destination.
+        route_id: SUMO's name of that route.
+        displaced: SUMO was made to forget the route, see `plans`.
     """
 
     route: RouteLanes
@@ -105,3 +108,6 @@ class Member:
     edge_begin: float = -np.inf
     edge_contact: float = -np.inf
     wrong: bool = False
+    trip: tuple[str, ...] = ()
+    route_id: str = ""
+    displaced: bool = False

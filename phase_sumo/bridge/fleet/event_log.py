@@ -17,6 +17,9 @@ from phase_sumo.bridge.sumo.session import Simulation
 Kind = Literal["collision", "road edge", "wrong exit", "reroute", "adoption", "hand-back", "removal"]
 
 
+AFTER_HAND_BACK = 10.0  # s for which what happens to a vehicle that was given back is still the policy's
+
+
 @dataclass
 class Event:
     """Something that happened to a vehicle, or to two in a collision.
@@ -35,6 +38,7 @@ class Event:
         type, other_type: their vTypes.
         phase, other_phase: driven by the policy.
         fault, other_fault: the paper's rule.
+        after_hand_back: the policy drives neither, but gave one back up to `AFTER_HAND_BACK` before.
         box, other_box: part that touched: body, or tractor or trailer of an articulated vehicle.
         seconds: how long a contact lasted.
         reason: why.
@@ -56,6 +60,7 @@ class Event:
     other_phase: bool = False
     fault: bool = False
     other_fault: bool = False
+    after_hand_back: bool = False
     box: str = ""
     other_box: str = ""
     seconds: float = 0.0
@@ -78,6 +83,7 @@ class EventLog:
     def __init__(self, session: Simulation, table: VehicleTable, types: dict[str, str]) -> None:
         self._session, self._table, self._types = session, table, types
         self.events: list[Event] = []
+        self._given_back: dict[str, float] = {}
 
     @property
     def now(self) -> float:
@@ -109,8 +115,18 @@ class EventLog:
             event.position = api.vehicle.getLanePosition(event.vehicle) if event.lane else math.nan
         except self._session.refused:  # SUMO took it out
             event.lane, event.position = "", math.nan
+        if event.kind == "hand-back":
+            self._given_back[event.vehicle] = event.time
+        elif event.kind == "adoption":
+            self._given_back.pop(event.vehicle, None)
+        elif event.kind == "collision" and not event.with_phase:
+            event.after_hand_back = self.given_back(event.vehicle) or self.given_back(event.other)
         self.events.append(event)
         return event
+
+    def given_back(self, vehicle: str) -> bool:
+        """Whether the policy gave the vehicle back up to `AFTER_HAND_BACK` ago."""
+        return self.now - self._given_back.get(vehicle, -math.inf) <= AFTER_HAND_BACK
 
     def of(self, kind: Kind) -> list[Event]:
         """The events of one kind."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import math
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,13 @@ from phase_sumo.bridge.fleet.controller import Controller, Steps
 from phase_sumo.bridge.fleet.drivers import Drivers, Member
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.goals import GoalPlanner
-from phase_sumo.bridge.fleet.occupancy import Occupancy, queue_rooms
+from phase_sumo.bridge.fleet.hand_back import HandBack
+from phase_sumo.bridge.fleet.occupancy import Occupancy, standing_rooms
 from phase_sumo.bridge.fleet.parameters import Choice
+from phase_sumo.bridge.fleet.plans import Plans, stops_soon
 from phase_sumo.bridge.fleet.pose import PoseWriter
 from phase_sumo.bridge.fleet.road import Road
-from phase_sumo.bridge.fleet.route import follow_lanes, kept_stretch, remaining, route_lanes
-from phase_sumo.bridge.fleet.route_views import RouteLanes
+from phase_sumo.bridge.fleet.route import past_end, remaining
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.fleet.target_speeds import SpeedLimits, TargetSpeeds
 from phase_sumo.bridge.sumo.session import bare
@@ -27,8 +28,6 @@ from phase_sumo.bridge.sumo.session import bare
 HAND_BACK_TIME, HAND_BACK_ROOM = 3.5, 30.0  # s, at least m, before the observed road's end: SUMO takes over
 KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer to a lane
 OFF_ROAD_SECONDS = 4.0  # s without a lane after which a vehicle is taken out
-ROUTES_KEPT = 1000  # whose lanes are remembered for vehicles to come
-SUMO_SPEED_MODE, SUMO_LANE_MODE = 31, 1621  # SUMO's defaults
 VAPORIZED = 3
 
 
@@ -63,9 +62,8 @@ class Fleet:
         self._members: dict[str, Member] = {}
         self._released: set[str] = set()
         self._node = np.full(len(scene.table), -1, np.int64)
-        self._routes: dict[tuple[tuple[str, ...], bool], RouteLanes] = {}
-        self._follow = follow_lanes(self._road)
-        self._adoption = Adoption(scene, self._road, choice, drivers, self._lanes)
+        self._plans, self._hand_backs = Plans(scene, self._road), HandBack(scene.session)
+        self._adoption = Adoption(scene, self._road, choice, drivers, self._plans)
         self._edge = RoadEdgeMonitor(self._road, scene.table, scene.events)
         self._writer = PoseWriter(self._api, self._road, scene.table)
         self._lane_id = bare(self._api, "vehicle", "getLaneID")
@@ -106,14 +104,18 @@ class Fleet:
     def follow_sumo(self, time: float) -> None:
         """After SUMO's step: take over, give back, set target speeds, watch the road edge."""
         for vehicle in set(self._members) - set(self._scene.facts):
+            trip = self._scene.trips[vehicle]
+            trip.finished = math.isfinite(trip.arrive)
             self._drop(vehicle)
         self._adoption.forget_absent()
         self._limits.update(time)
         self._locate()
         fresh = self._adopt()
         for vehicle in [v for v in self._members if v in self._released]:
-            self._hand_back(vehicle, self._members[vehicle], "released")
+            self._hand_back(vehicle, "released", again=False)
         self._released.clear()
+        if self._plans.due(time):
+            self._follow_plans()
         self._check(time)
         if fresh or self._steps.decides(time):  # nobody is ours without a target speed
             occupancy = Occupancy(self._road, self._table, self._node)
@@ -135,13 +137,16 @@ class Fleet:
         self._node = self._controller.drive(time, before, self._members)
         metres = np.hypot(table["x"] - x, table["y"] - y)
         front_x, front_y = table.front
-        for vehicle, past in zip(list(self._members), self._past_end(before, front_x, front_y), strict=True):
-            if past:
-                self._finish(vehicle, self._members[vehicle])
+        rows = self._rows()
+        front = np.stack((front_x[rows], front_y[rows]), -1)
+        past = past_end(self._road, list(self._members.values()), before[rows], front)
+        for vehicle in [vehicle for vehicle, ends in zip(self._members, past, strict=True) if ends]:
+            self._finish(vehicle)
         rows = self._rows()
         self._count(rows, metres[rows])
         front = np.stack((front_x[rows], front_y[rows]), -1)
         self._writer.write(self._members, rows, self._node[rows], front, time)
+        self._hand_backs.centre()
 
     def _rows(self) -> IntArray:
         """Table rows of the members, in their order."""
@@ -191,31 +196,53 @@ class Fleet:
         before = len(self._members)
         for vehicle, member in self._adoption.take_over(self._node, self._members):
             self._members[vehicle] = member
+            self._hand_backs.forget(vehicle)
         return len(self._members) > before
+
+    def _follow_plans(self) -> None:
+        """Heed new routes and stops, and that SUMO's lists of leaders are in order."""
+        lanes: list[str] = []
+        for vehicle, member in list(self._members.items()):
+            lanes.append(self._lane_id(vehicle))
+            self._plans.restore(vehicle, member)
+            if self._plans.changed(vehicle, member):
+                self._scene.events.record("reroute", vehicle, f"a new route to {member.trip[-1]}")
+                if not self._plans.take(vehicle, member):
+                    self._hand_back(vehicle, "the new route leaves the observed road")
+                    continue
+            speed = float(self._table["speed"][self._table.row_of[vehicle]])
+            if stops_soon(self._plans.stop_room(vehicle, member.edges), speed):
+                self._hand_back(vehicle, "a stop ahead")
+        self._hand_backs.order({lane for lane in lanes if lane})
 
     def _check(self, time: float) -> None:
         """Give back, reroute or take out where needed."""
         members, rows = list(self._members.items()), self._rows()
         on_route = self._on_route([member for _, member in members], rows)
         node = self._node[rows]
-        queue = queue_rooms(self._road, self._table, self._node, rows, [m for _, m in members], on_route)
+        rooms = np.full((2, len(rows)), np.inf)  # in the own lane and those beside
+        k = np.flatnonzero(on_route)
+        if len(k):
+            routes = [members[i][1].route for i in k.tolist()]
+            occupancy = Occupancy(self._road, self._table, self._node)
+            rooms[:, k] = standing_rooms(self._road, occupancy, node[k], rows[k], routes)
         lane_id = self._lane_id
-        for (vehicle, member), on, at, room in zip(
-            members, on_route.tolist(), node.tolist(), queue.tolist(), strict=True
+        for (vehicle, member), on, at, (own, beside) in zip(
+            members, on_route.tolist(), node.tolist(), rooms.T.tolist(), strict=True
         ):
             if not lane_id(vehicle):
                 member.off_lane_until = time + KEEP_ON_LANE
             if on:
                 member.lost_since = None
-                if member.leads_off or not member.edges:
-                    self._check_end(vehicle, member, at, room)
+                if member.leads_off or not member.edges or min(own, beside) < np.inf:
+                    self._check_end(vehicle, member, at, own, beside)
             elif at < 0:
                 member.lost_since = time if member.lost_since is None else member.lost_since
                 if time - member.lost_since >= OFF_ROAD_SECONDS:
                     self._remove(vehicle, "off road")
             else:
                 member.lost_since = None
-                self._lost_route(vehicle, member)
+                self._plans.find_way(vehicle, member, at)
 
     def _on_route(self, members: list[Member], rows: IntArray) -> BoolArray:
         """Whether each vehicle is on a lane of its route, or also on one, which then becomes its own."""
@@ -231,88 +258,37 @@ class Fleet:
                 self._node[rows[k]], on_route[k] = beside, True
         return on_route
 
-    def _check_end(self, vehicle: str, member: Member, node: int, queue: float) -> None:
-        """Give back or take out a vehicle whose observed road ends, or is full ``queue`` m ahead."""
-        room = min(remaining(self._road, member.route, node), queue)
+    def _check_end(self, vehicle: str, member: Member, node: int, own: float, beside: float) -> None:
+        """Give back or take out who comes to the road's end, or to one who stands in some m in a lane."""
+        room = remaining(self._road, member.route, node)
         connector = self._road.network.lanes[int(self._road.graph.node_lane[node])].connector
         speed = self._table["speed"][self._table.row_of[vehicle]]
-        if member.leads_off and room < max(HAND_BACK_TIME * speed, HAND_BACK_ROOM) and not connector:
-            self._hand_back(vehicle, member, "the observed road ends")
+        needed = max(HAND_BACK_TIME * speed, HAND_BACK_ROOM)
+        if member.leads_off and room < needed and not connector:
+            self._hand_back(vehicle, "the observed road ends")
+        elif min(own, beside) < needed and not connector:
+            self._hand_back(vehicle, f"somebody stands {'ahead' if own < needed else 'beside the way'}")
         elif not member.edges and room < 2.0 + speed * self._scene.session.step_length:
             self._remove(vehicle, "wrong exit")
 
-    def _lost_route(self, vehicle: str, member: Member) -> None:
-        """Off its route: let SUMO look for another way, else follow the lane."""
-        goal = member.edges[-1] if member.edges else ""
-        if not member.wrong:
-            member.wrong = True
-            self._scene.events.record("wrong exit", vehicle, f"off the way to {goal}" if goal else "")
-        lane = self._api.vehicle.getLaneID(vehicle)
-        if lane.startswith(":"):
-            return
-        route: tuple[str, ...] = ()
-        with contextlib.suppress(self._scene.session.refused):
-            self._api.vehicle.changeTarget(vehicle, goal)
-            route = tuple(self._api.vehicle.getRoute(vehicle))
-            route = route[self._api.vehicle.getRouteIndex(vehicle) :]
-        edges = kept_stretch(self._road, route, 0)
-        truck = bool(self._table["truck"][self._table.row_of[vehicle]])
-        lanes = self._lanes(edges, truck) if edges and edges[-1] == goal else None
-        node = int(self._node[self._table.row_of[vehicle]])
-        if lanes is not None and np.isfinite(lanes.changes[self._road.graph.node_lane[node]]):
-            member.route, member.edges, member.wrong = lanes, edges, False
-            self._scene.events.record("reroute", vehicle, f"another way to {goal}")
-        else:
-            member.route, member.edges, member.leads_off = self._follow, (), False
-
-    def _lanes(self, edges: tuple[str, ...], truck: bool) -> RouteLanes:
-        key = (edges, truck)
-        if key not in self._routes:
-            if len(self._routes) == ROUTES_KEPT:
-                del self._routes[next(iter(self._routes))]  # the oldest
-            self._routes[key] = route_lanes(self._road, edges, truck)
-        return self._routes[key]
-
-    def _past_end(self, node: IntArray, front_x: FloatArray, front_y: FloatArray) -> list[bool]:
-        """Whether each member's new pose is past the end of the last lane of its route.
-
-        Args:
-            node: [N] of the rows before the move.
-            front_x, front_y: [N] after it.
-        """
-        graph, rows = self._road.graph, self._rows()
-        on_road = np.maximum(node[rows], 0)
-        lane = graph.node_lane[on_road]
-        end = self._road.first[lane] + self._road.count[lane] - 1
-        yaw = graph.node_yaw[end].astype(np.float64)
-        dx, dy = (
-            at[rows] - middle for at, middle in zip((front_x, front_y), graph.node_xy[end].T, strict=True)
-        )
-        past = (node[rows] >= 0) & (dx * np.cos(yaw) + dy * np.sin(yaw) > -0.3)
-        for k, (member, i) in enumerate(zip(self._members.values(), lane.tolist(), strict=True)):
-            if past[k]:
-                last = not member.leads_off and bool(member.edges)
-                past[k] = last and self._road.network.lanes[i].edge == member.edges[-1]
-        return past.tolist()
-
-    def _finish(self, vehicle: str, member: Member) -> None:
+    def _finish(self, vehicle: str) -> None:
         """SUMO takes the last step of the trip, so that the vehicle arrives in its records."""
         self._scene.trips[vehicle].finished = True
-        self._release(vehicle, member)
+        self._release(vehicle)
 
-    def _hand_back(self, vehicle: str, member: Member, reason: str) -> None:
-        api = self._api.vehicle
+    def _hand_back(self, vehicle: str, reason: str, again: bool = True) -> None:
+        """SUMO drives it from the next step on; ``again`` says until when PHASE may drive on."""
         self._scene.events.record("hand-back", vehicle, reason)
-        lane = api.getLaneID(vehicle)
-        if lane and not lane.startswith(":"):
-            api.moveTo(vehicle, lane, api.getLanePosition(vehicle))
-        self._release(vehicle, member)
+        node = int(self._node[self._table.row_of[vehicle]])
+        if node >= 0 and not self._lane_id(vehicle):
+            self._hand_backs.place(vehicle, self._road, node)
+        self._release(vehicle)
+        if again:
+            self._adoption.wait(vehicle)
 
-    def _release(self, vehicle: str, member: Member) -> None:
-        api = self._api.vehicle
-        api.setSpeedMode(vehicle, SUMO_SPEED_MODE)
-        api.setLaneChangeMode(vehicle, SUMO_LANE_MODE)
-        api.setSpeed(vehicle, -1.0)
+    def _release(self, vehicle: str) -> None:
+        self._plans.restore(vehicle, self._members[vehicle])
+        self._hand_backs.give(vehicle)
         self._drop(vehicle)
         self._table.controlled[self._table.row_of[vehicle]] = False
 

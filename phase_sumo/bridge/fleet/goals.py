@@ -6,7 +6,7 @@ leads astray, but never nearer than the 2.5 s of driving that a change takes. On
 so that the straight line to it keeps to the lane, and nearest (1.6 s) for a vehicle out of line with its
 lane. It is set anew when it is nearer than 1.2 s, or behind. Lanes are reviewed every second; a change of
 one's own choice begins when it has been worth while for as long as it takes, and a change that has begun is
-kept until it is done or the goal is reached.
+kept until it is done, the goal is reached, or somebody stands in the new lane.
 """
 
 from __future__ import annotations
@@ -80,20 +80,37 @@ class GoalPlanner:
         if not len(due):
             return
         fresh = near | ~np.isfinite(review)  # these need a goal
+        own = [routes[vehicle] for vehicle in vehicles]
+        blocked = self._blocked(occupancy, rows, node, own)
         asking = []
         for k in due.tolist():
             vehicle = vehicles[k]
             self._review[vehicle] = time + REVIEW
             if vehicle in self._changing:
-                if not near[k] and self._on_its_way(time, vehicle, int(node[rows[k]])):
+                if not near[k] and not blocked[k] and self._on_its_way(time, vehicle, int(node[rows[k]])):
                     continue
                 del self._changing[vehicle]
                 self._rested[vehicle] = time + REST
                 fresh[k] = True
             asking.append(k)
         if asking:
-            own = [routes[vehicles[k]] for k in asking]
+            own = [own[k] for k in asking]
             self._ask(time, rows[asking], fresh[asking], node[rows[asking]], occupancy, own)
+
+    def _blocked(
+        self, occupancy: Occupancy, rows: IntArray, node: IntArray, routes: list[RouteLanes]
+    ) -> BoolArray:
+        """[n] whether somebody stands in the lane that a vehicle changes to, nearer than in its own."""
+        beside = self.beside(node)[rows]
+        blocked, k = np.zeros(len(rows), bool), np.flatnonzero(beside >= 0)
+        if len(k):
+            ways = [routes[i] for i in k.tolist()]
+            there, here = (
+                lane_choice.blocks(occupancy, self._table, rows[k], at[k], ways)
+                for at in (beside, node[rows])
+            )
+            blocked[k] = there < here
+        return blocked
 
     def _on_its_way(self, time: float, vehicle: str, node: int) -> bool:
         lane, _, until = self._changing[vehicle]

@@ -4,7 +4,9 @@
    ``CHANGE_TIME`` x target speed per change; at a lane's end (acceleration lane) that is at once.
 2. Otherwise a vehicle wishes for the lane beside, the left one first, if by MOBIL the change
    gains more than the threshold, is safe, and leads on along the route without a needed change soon. To the
-   left it must gain itself. The bias to the right holds where the right lane is free far ahead.
+   left it must gain itself. The bias to the right holds where the right lane is free far ahead. A vehicle
+   that stands counts as a leader from farther away, whoever drives before it; one who leaves its lane for
+   that reason does not wait, and is worth `WAY_OUT` more.
 3. Otherwise it keeps its lane.
 
 MOBIL on top of the improved IDM: acceleration of a vehicle with speed v and desired speed v0, a gap s behind
@@ -95,6 +97,9 @@ LEFT, RIGHT = 1, -1
 CHANGE_TIME = 12.0  # s of target speed per needed change
 CHANGE_ROOM = 150.0  # m per needed change at least
 LOOK_TIME = 10.0  # s of target speed within which a leader matters
+BLOCKED_TIME, BLOCKED_ROOM = 16.0, 100.0  # s of target speed, at least m, within which a standing one does
+FARTHER = 50.0  # m by which another lane must be free beyond the own one to be a way out
+WAY_OUT = 1.0  # m/s^2
 
 
 def sides(
@@ -106,12 +111,12 @@ def sides(
     routes: Sequence[RouteLanes],
     bound: BoolArray,
 ) -> tuple[IntArray, BoolArray]:
-    """Where to go, `LEFT`, `RIGHT` or 0 to stay, and whether the route needs that.
+    """Where to go, `LEFT`, `RIGHT` or 0 to stay, and whether that is for the route or a lane that is blocked.
 
     Args:
         rows, node: [n] the vehicles and the nodes of their front bumpers.
         routes: of each.
-        bound: [n] those that change only if their route needs it.
+        bound: [n] those that change only if they need to.
     """
     lane = road.graph.node_lane[node]
     needed, room, side = (
@@ -121,13 +126,36 @@ def sides(
     stretch = np.maximum(CHANGE_TIME * table.wanted_speed[rows], CHANGE_ROOM)
     must = (needed > 0) & np.isfinite(needed) & (room - (node - road.first[lane]) < needed * stretch)
     chosen = np.where(must, side, 0)
-    ask = np.flatnonzero(~must & ~bound)
+    blocked = np.isfinite(blocks(occupancy, table, rows, node, routes))
+    ask = np.flatnonzero(~must & (~bound | blocked))
     if len(ask):
         own = [routes[k] for k in ask.tolist()]
         scene = _Scene(road, table, occupancy, rows[ask], node[ask], own)
-        left, right = (scene.worth(way, needed[ask], stretch[ask]) > THRESHOLD for way in (LEFT, RIGHT))
-        chosen[ask] = np.where(left, LEFT, np.where(right, RIGHT, 0))
-    return chosen, must
+        left, right = (scene.worth(way, needed[ask], stretch[ask]) for way in (LEFT, RIGHT))
+        first = (left > THRESHOLD) & ((left >= right) | ~blocked[ask])
+        chosen[ask] = np.where(first, LEFT, np.where(right > THRESHOLD, RIGHT, 0))
+    return chosen, must | (blocked & (chosen != 0))
+
+
+def blocks(
+    occupancy: Occupancy,
+    table: VehicleTable,
+    rows: IntArray,
+    node: IntArray,
+    routes: Sequence[RouteLanes],
+) -> FloatArray:
+    """[n] m from the nodes to the next standing vehicle along the routes, inf for none within reach.
+
+    Args:
+        rows: [n] the vehicles that look.
+        node: [n] where they look from, -1 for nowhere: inf.
+    """
+    reach = np.maximum(BLOCKED_TIME * table.wanted_speed[rows], BLOCKED_ROOM)
+    room, look = np.full(len(rows), np.inf), np.flatnonzero(node >= 0)
+    if len(look):
+        own = [routes[k] for k in look.tolist()]
+        _, room[look] = occupancy.standing.leaders(node[look], rows[look], own, reach[look])
+    return room
 
 
 class _Scene:
@@ -149,8 +177,10 @@ class _Scene:
         self._target = np.where(table.controlled, table.wanted_speed, np.maximum(self._speed, 1.0))
         self._reach = LOOK_TIME * self._target[rows]
         self._leader, self._gap = occupancy.leaders(node, rows, routes, self._reach)
+        self._block = blocks(occupancy, table, rows, node, routes)
+        self._table = table
         follower, behind = occupancy.followers(node, rows)
-        self._now = self._acceleration(rows, self._gap, self._leader)
+        self._now = self._free_of(rows, self._gap, self._leader, self._block)
         whole = behind + occupancy.length[rows] + self._gap
         self._relief = np.where(
             follower >= 0,
@@ -166,25 +196,29 @@ class _Scene:
         beside = (graph.left if way == LEFT else graph.right)[self._node]
         use = beside >= 0
         if way == LEFT:
-            use &= self._leader >= 0  # or there is nothing to gain
+            use &= (self._leader >= 0) | np.isfinite(self._block)  # or there is nothing to gain
         use[use] = self._leads_on(beside[use], np.flatnonzero(use), way, needed[use], stretch[use])
         k = np.flatnonzero(use)
         if not len(k):
             return worth
         rows, node, occupancy = self._rows[k], beside[k], self._occupancy
-        leader, gap = occupancy.leaders(node, rows, [self._routes[i] for i in k.tolist()], self._reach[k])
+        routes = [self._routes[i] for i in k.tolist()]
+        leader, gap = occupancy.leaders(node, rows, routes, self._reach[k])
+        block = blocks(occupancy, self._table, rows, node, routes)
         follower, behind = occupancy.followers(node, rows)
-        own = self._acceleration(rows, gap, leader)
+        own = self._free_of(rows, gap, leader, block)
         whole = np.maximum(behind, 0.0) + occupancy.length[rows] + np.maximum(gap, 0.0)
         before = self._acceleration(follower, whole, leader)
         after = np.where(follower >= 0, self._acceleration(follower, behind, rows), 0.0)
         burden = np.where(follower >= 0, felt(after) - felt(before), 0.0)
         advantage = felt(own) - felt(self._now[k])
-        value = gain(advantage, burden, self._relief[k])
+        way_out = block > self._block[k] + FARTHER
+        value = gain(advantage, burden, self._relief[k]) + WAY_OUT * way_out
         if way == LEFT:
-            value = np.where(advantage > 0, value - KEEP_RIGHT, -np.inf)
+            value = np.where((advantage > 0) | way_out, value - KEEP_RIGHT, -np.inf)
         else:
             free = (leader < 0) | (self._speed[leader] > self._target[rows])
+            free &= np.isinf(block)
             value = value + KEEP_RIGHT * free
         worth[k] = np.where(safe(own, after), value, -np.inf)
         return worth
@@ -192,6 +226,11 @@ class _Scene:
     def _acceleration(self, rows: IntArray, gap: FloatArray, leader: IntArray) -> FloatArray:
         """Of the vehicles ``rows`` behind the ``leader`` rows, -1 for none; rows -1 give a number, too."""
         return acceleration(self._speed[rows], self._target[rows], gap, self._speed[leader])
+
+    def _free_of(self, rows: IntArray, gap: FloatArray, leader: IntArray, block: FloatArray) -> FloatArray:
+        """Of the vehicles ``rows`` behind their leaders and the standing vehicles ``block`` m ahead."""
+        stands = acceleration(self._speed[rows], self._target[rows], block, np.zeros(len(rows)))
+        return np.minimum(self._acceleration(rows, gap, leader), stands)
 
     def _leads_on(
         self, beside: IntArray, k: IntArray, way: int, needed: FloatArray, stretch: FloatArray

@@ -1,34 +1,43 @@
 """Who drives ahead and behind on a lane, for many vehicles at once.
 
-Queues of SUMO's vehicles stand before the crossing that the observed road ends at. The policy was never told
-to stand, so vehicles that wait their turn are followed by SUMO's own models.
+Some vehicles stand: broken down, at a stop, at the tail of a queue. They are seen from farther away than the
+leader is. The policy was never told to stand, so SUMO's own models drive those who must wait behind them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
 from phase_sumo.arrays import BoolArray, FloatArray, IntArray
-from phase_sumo.bridge.fleet.drivers import Member
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route_views import RouteLanes
 from phase_sumo.bridge.fleet.table import VehicleTable
 
+STANDING = 2.0  # m/s, at most, of a vehicle that stands
 BEHIND = 100.0  # m within which a vehicle on a lane before this one matters
 
 
 class Occupancy:
     """Which vehicles are on which lane, by the node of their front bumper."""
 
-    def __init__(self, road: Road, table: VehicleTable, node: IntArray) -> None:
-        self._road = road
-        self.length = overall_length(table)
-        rows = np.flatnonzero(table.active & (node >= 0))
+    def __init__(
+        self, road: Road, table: VehicleTable, node: IntArray, among: BoolArray | None = None
+    ) -> None:
+        """``node`` [N] of each row's front bumper, -1 off the road; ``among`` [N] leaves out all others."""
+        self._road, self._table, self._nodes = road, table, node
+        self.length, self.speed = overall_length(table), table["speed"]
+        rows = np.flatnonzero(table.active & (node >= 0) & (True if among is None else among))
         self._row = rows[np.argsort(node[rows], kind="stable")]  # nodes of a lane lie in a row
         self._node = node[self._row]
         self._lane = road.graph.node_lane[self._node]
+
+    @cached_property
+    def standing(self) -> Occupancy:
+        """Of the vehicles that stand alone."""
+        return Occupancy(self._road, self._table, self._nodes, self.speed <= STANDING)
 
     def between(self, node: IntArray) -> IntArray:
         """[n] how many vehicles come before each node in the order of nodes, see `at`."""
@@ -51,6 +60,8 @@ class Occupancy:
         Returns:
             Rows [n], -1 for none, and the gaps to them in m, inf for none.
         """
+        if not len(self._row):
+            return np.full(len(node), -1), np.full(len(node), np.inf)
         at = np.searchsorted(self._node, node)
         at += self._holds(at, rows)
         lane = self._road.graph.node_lane[node]
@@ -138,30 +149,28 @@ def overall_length(table: VehicleTable) -> np.ndarray:
 
 
 LOOK = 150.0  # m
-WAITING = 2.0  # m/s, at most, of a vehicle that waits
+FAST = 10.0  # m/s above which the policy does not pass closely: it was never told that somebody may stand
 
 
-def queue_rooms(
-    road: Road,
-    table: VehicleTable,
-    node: IntArray,
-    rows: IntArray,
-    members: list[Member],
-    on_route: BoolArray,
-) -> FloatArray:
-    """[n] m that each member has left to a waiting vehicle of SUMO's, inf for none or no crossing ahead.
+def standing_rooms(
+    road: Road, occupancy: Occupancy, node: IntArray, rows: IntArray, routes: Sequence[RouteLanes]
+) -> tuple[FloatArray, FloatArray]:
+    """m that vehicles have left to one who stands, in their own lane and in those beside, inf for none.
 
     Args:
-        node: [N] node of each row's front bumper, -1 off the road.
-        rows: [n] of the members in the table.
-        on_route: [n] whether they are on their route.
+        node: [n] of the vehicles' front bumpers.
+        rows: [n] of the vehicles in the table.
+        routes: of each.
+
+    Returns:
+        [n] and [n], the latter for vehicles above `FAST` alone.
     """
-    room = np.full(len(rows), np.inf)
-    leaving = np.flatnonzero(on_route & np.array([member.leads_off for member in members], bool))
-    if len(leaving):
-        own, routes = rows[leaving], [members[k].route for k in leaving.tolist()]
-        occupancy = Occupancy(road, table, node)
-        leader, gap = occupancy.leaders(node[own], own, routes, np.full(len(own), LOOK))
-        waits = ~table.controlled[leader] & (table["speed"][leader] <= WAITING)
-        room[leaving] = np.where((leader >= 0) & waits, gap, np.inf)
-    return room
+    reach, standing = np.full(len(rows), LOOK), occupancy.standing
+    _, own = standing.leaders(node, rows, routes, reach)
+    beside = np.full(len(rows), np.inf)
+    for lane in (road.graph.left[node], road.graph.right[node]):
+        k = np.flatnonzero((lane >= 0) & (occupancy.speed[rows] > FAST))
+        if len(k):
+            _, room = standing.leaders(lane[k], rows[k], [routes[i] for i in k.tolist()], reach[k])
+            beside[k] = np.minimum(beside[k], room)
+    return own, beside

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -11,22 +12,32 @@ from phase_sumo.bridge.fleet.drivers import Member
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.bridge.sumo.conventions import angle_from_yaw
+from phase_sumo.bridge.sumo.demand import mentions
 from phase_sumo.bridge.sumo.session import bare
 
 MOVE = 2  # moveToXY keepRoute: exact position, any road
 MATCH = 10.0  # m within which SUMO looks for the lane
+ARRIVAL_PERIOD = 0.5  # s
 
 
 class PoseWriter:
     """Writes poses with moveToXY and speeds with setSpeed, so that SUMO reports both unchanged.
 
     SUMO's acceleration is then the change of speed over its step.
+
+    A vehicle that is moved never arrives, and SUMO tells nobody its ``arrivalPos``. Where the demand names
+    some, SUMO therefore takes one step in `ARRIVAL_PERIOD` itself on the last edge of a route, at our speed,
+    and finds out.
     """
 
     def __init__(self, api: ModuleType, road: Road, table: VehicleTable) -> None:
         self._api, self._road, self._table = api, road, table
         self._move = bare(api, "vehicle", "moveToXY")
         self._set_speed = bare(api, "vehicle", "setSpeed")
+        files = (api.simulation.getOption(name) for name in ("route-files", "additional-files"))
+        given = any(mentions(Path(file), ("arrivalPos",)) for file in ",".join(files).split(",") if file)
+        self._asks = 0.0 if given else np.inf
+        self._period = max(ARRIVAL_PERIOD, 2.0 * float(api.simulation.getDeltaT()))
         self._shapes: dict[str, np.ndarray] = {}
         self._ids = [lane.id if not lane.parts else lane.parts[0][0] for lane in road.network.lanes]
         self._crosses = road.levels.crossing[road.piece]
@@ -47,7 +58,11 @@ class PoseWriter:
         crosses = ((node >= 0) & self._crosses[node]).tolist()
         move, set_speed, (left, below) = self._move, self._set_speed, self._table.origin.tolist()
         places = zip(members.items(), front.tolist(), angle.tolist(), speed, strict=True)
+        arriving = self._arriving(list(members.values()), node, time)
         for k, ((vehicle, member), (x, y), heading, driven) in enumerate(places):
+            if arriving[k]:
+                set_speed(vehicle, driven)
+                continue
             if time < member.off_lane_until:
                 x, y = self._towards_lane((x, y), int(rows[k]), int(node[k]))
             edge, index = self._told(int(node[k])) if crosses[k] else ("", -1)
@@ -59,6 +74,18 @@ class PoseWriter:
         """Edge and index of the lane for SUMO, which might take that of another level."""
         edge, _, index = self._ids[int(self._road.graph.node_lane[node])].rpartition("_")
         return (edge, int(index)) if edge and index.isdigit() else ("", -1)
+
+    def _arriving(self, members: list[Member], node: IntArray, time: float) -> list[bool]:
+        """Which vehicles may be past their places of arrival, all of which are asked at the same times."""
+        if time < self._asks - 1e-6:
+            return [False] * len(members)
+        self._asks = time + self._period
+        lanes = self._road.network.lanes
+        at = self._road.graph.node_lane[np.maximum(node, 0)].tolist()
+        return [
+            n >= 0 and not m.leads_off and m.edges[-1:] == (lanes[lane].edge,)
+            for n, m, lane in zip(node.tolist(), members, at, strict=True)
+        ]
 
     def _towards_lane(self, at: tuple[float, float], row: int, node: int) -> tuple[float, float]:
         """The position nearest to ``at`` that SUMO still counts as on the lane.

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phase_sumo.arrays import BoolArray, FloatArray, IntArray
+from phase_sumo.bridge.fleet.drivers import Member
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route_views import RouteLanes
 from phase_sumo.sim.curve_speed import FASTEST, braked_to, exit_speeds
@@ -208,3 +209,23 @@ def remaining(road: Road, route: RouteLanes, node: int) -> float:
     """m from the node to the end of the stretch, lane changes included."""
     lane = int(road.graph.node_lane[node])
     return float(route.rest[lane]) - 1.0 - road.offset(node)
+
+
+def past_end(road: Road, members: Sequence[Member], node: IntArray, front: FloatArray) -> list[bool]:
+    """Whether each member's new pose is past the end of the last lane of its route.
+
+    Args:
+        node: [n] of the members before the move, -1 off the road.
+        front: [n, 2] front bumper centres in m after it.
+    """
+    graph = road.graph
+    lane = graph.node_lane[np.maximum(node, 0)]
+    end = road.first[lane] + road.count[lane] - 1
+    yaw = graph.node_yaw[end].astype(np.float64)
+    dx, dy = (front - graph.node_xy[end]).T
+    past = (node >= 0) & (dx * np.cos(yaw) + dy * np.sin(yaw) > -0.3)
+    for k in np.flatnonzero(past).tolist():
+        member = members[k]
+        last = not member.leads_off and bool(member.edges)
+        past[k] = last and road.network.lanes[int(lane[k])].edge == member.edges[-1]
+    return past.tolist()

@@ -28,6 +28,7 @@ class Trip:
         removed: reason, "" if it was not.
         policy_seconds, freeway_seconds, seconds: under the policy, on the observed road, and in total.
         policy_metres: driven under the policy.
+        after_hand_back: collisions up to 10 s after the policy gave it back.
         adopted, finished: the policy drove it at some time; the policy drove it to its arrival.
     """
 
@@ -41,6 +42,7 @@ class Trip:
     freeway_seconds: float = 0.0
     seconds: float = 0.0
     policy_metres: float = 0.0
+    after_hand_back: int = 0
     adopted: bool = False
     finished: bool = False
 

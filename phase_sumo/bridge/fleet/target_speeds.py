@@ -16,6 +16,10 @@ both lanes, and one before a merge the vehicle that will be there first. A vehic
 lane's direction is not told to speed up before it is in line again. Not in the paper: its policy alone keeps
 too short gaps at freeway speeds (README, "Driving with traffic").
 
+A vehicle that stands is seen from farther away, whoever drives before it:
+
+    v = sqrt(2 b' (s - s0 - lag v_now)).
+
 Where lanes run into one another without an acceleration lane, vehicles follow whom they will merge behind.
 Where several lanes lead into one, the vehicles on the way there are put in the order in which they would
 arrive at their present speeds. Each follows the one before it as if that were ahead in its own lane, with the
@@ -174,6 +178,7 @@ LAG = 1.5  # s by which the policy is behind a target speed that falls towards a
 ASKEW = 0.2  # rad, about 11 degrees: behind a kink, or running wide; a lane change takes less
 LEAST_ASKEW = 5.0  # m/s that vehicles askew are told at least
 LOOK = 150.0  # m, the policy's own range
+STANDING_LOOK, STOPPING = 500.0, 1.8  # m from where on a standing vehicle is heeded; m/s^2, b'
 
 
 class TargetSpeeds:
@@ -214,6 +219,8 @@ class TargetSpeeds:
             if len(k):
                 leader, gap = occupancy.leaders(at[k], rows[k], routes, np.full(len(k), LOOK))
                 self._follow(gaps, rows[k], leader, gap, opening)
+                far = np.full(len(k), STANDING_LOOK)
+                self._stop_behind(gaps, rows[k], *occupancy.standing.leaders(at[k], rows[k], routes, far))
         self._follow(gaps, *self._merging.pairs(occupancy, members), OTHER_LANE)
 
     def _follow(
@@ -238,6 +245,15 @@ class TargetSpeeds:
         behind = speed + np.where(room >= 0, closing, np.maximum(room / opening[0], -opening[1]))
         target = self._table["goal_speed"]
         target[rows] = np.clip(behind, TARGET_SPEEDS[0], target[rows])
+
+    def _stop_behind(self, gaps: FloatArray, rows: IntArray, standing: IntArray, gap: FloatArray) -> None:
+        """Lower the target speeds of rows [n] for those who stand ``gap`` [n] m ahead, -1 for none."""
+        k = np.flatnonzero((standing >= 0) & (gaps[0, rows] > 0))
+        rows = rows[k]
+        room = gap[k] - gaps[1, rows] - LAG * self._table["speed"][rows]
+        target = self._table["goal_speed"]
+        stopping = np.sqrt(2.0 * STOPPING * np.maximum(room, 0.0))
+        target[rows] = np.clip(stopping, TARGET_SPEEDS[0], target[rows])
 
     def _wanted(self, members: list[Member], rows: IntArray, node: IntArray) -> FloatArray:
         """[n] m/s on a free road."""

@@ -207,10 +207,14 @@ class RouteLengths:
         return way.metres + (self._between(way, lane, position) or 0.0 if lane else 0.0)
 
     def driven_to(self, vehicle: str, lane: str, position: float) -> float:
-        """Position at which a trip to ``position`` ended: the policy drives past it, to the lane's end."""
+        """Position at which a trip to ``position`` ended: the policy drives past it, up to the lane's end."""
         way = self._ways.get(vehicle)
-        passed = way is not None and edge_of(way.lane) == edge_of(lane) and position < way.position - 0.1
-        return self._lanes.length[way.lane] if way is not None and passed else position
+        if way is None or edge_of(way.lane) != edge_of(lane) or position >= way.position - 0.1:
+            return position
+        last = self._scene.trips[vehicle].policy_metres - way.policy_metres  # 0 if it drove to the end
+        return (
+            min(way.position + last, self._lanes.length[way.lane]) if last else self._lanes.length[way.lane]
+        )
 
     def _between(self, way: _Way, lane: str, position: float) -> float | None:
         found = self._lanes.towards(way.lane, lane)

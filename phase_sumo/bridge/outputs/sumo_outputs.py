@@ -53,6 +53,9 @@ def merge_by_time(root: Any, fresh: Iterable[Any]) -> None:
 
 
 OUTPUTS = ("tripinfo-output", "collision-output", "lanechange-output", "statistic-output")
+PAST_ARRIVAL = (
+    80.0  # m that a vehicle drives in two steps of SUMO, which is when it asks for its place of arrival
+)
 
 
 class SumoOutputs:
@@ -127,7 +130,7 @@ class SumoOutputs:
         if self._past_arrival:
             self.warnings.append(
                 f"{self._past_arrival} vehicles under PHASE drove past their arrivalPos to the end of their "
-                "last edge: PHASE does not know it; leave it out, or split the edge there"
+                "last edge: PHASE looks for it in the demand files alone; split the edge there"
             )
 
     def _correct_length(self, element: Any) -> None:
@@ -135,7 +138,7 @@ class SumoOutputs:
         position = self._lengths.driven_to(vehicle, lane, float(wanted))
         if position > float(wanted) and not element.get("vaporized"):
             element.set("arrivalPos", self._number(position))
-            self._past_arrival += 1
+            self._past_arrival += position > float(wanted) + PAST_ARRIVAL
         right = self._lengths.until(vehicle, lane, float(element.get("arrivalPos")))
         if right is not None:
             gain, duration = right - float(element.get("routeLength")), float(element.get("duration"))
