@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
-from phase_sumo.bridge.fleet.event_log import Event, read_events, write_events
+from phase_sumo.bridge.fleet.event_log import Event, EventLog, read_events, write_events
 
 
 def test_events_come_back_from_their_file(tmp_path):
@@ -30,3 +31,26 @@ def test_blame_needs_fault_and_policy():
     assert event.with_phase and not event.phase_at_fault
     event.other_fault = True
     assert event.phase_at_fault
+
+
+def test_collisions_soon_after_a_hand_back_are_marked():
+    clock = SimpleNamespace(time=0.1, step_length=0.1, refused=KeyError)
+    clock.api = SimpleNamespace(
+        vehicle=SimpleNamespace(getLaneID=lambda _: "", getLanePosition=lambda _: 0.0)
+    )
+    log = EventLog(clock, SimpleNamespace(row_of={}), {})  # type: ignore[arg-type]
+    found = []
+    for time, kind, phase in (
+        (0.0, "collision", False),
+        (1.0, "hand-back", False),
+        (10.0, "collision", False),
+        (10.0, "collision", True),
+        (11.5, "collision", False),
+        (20.0, "hand-back", False),
+        (21.0, "adoption", False),
+        (22.0, "collision", False),
+    ):
+        clock.time = time + 0.1
+        event = log.add(Event(time, kind, "x" if kind == "collision" else "a", "a", phase=phase))
+        found += [event.after_hand_back] * (kind == "collision")
+    assert found == [False, True, False, False, False]

@@ -130,6 +130,32 @@ def test_no_change_towards_a_lane_that_must_be_left_soon(road):
     assert lane_wanted(road, near, route) == 1  # 500 m before the left lane ends, two changes take 600 m
 
 
+def test_a_lane_in_which_somebody_stands_is_left_early_whoever_drives_before(road):
+    me, stands = ("a", 100.0, W, 25.0, 25.0), ("s", 450.0, W, 0.0)
+    right = ("r", 170.0, 0.0, 12.0)  # no reason to go there
+    assert lane_wanted(road, [me, right], seconds=0.0) == 1
+    assert lane_wanted(road, [me, right, stands], seconds=0.0) == 2
+    assert lane_wanted(road, [me, right, ("b", 130.0, W, 25.0, 25.0), stands], seconds=0.0) == 2
+    assert lane_wanted(road, [me, stands, ("t", 450.0, 2 * W, 0.0)], seconds=0.0) == 0
+    assert lane_wanted(road, [me, stands, ("d", 98.0, 2 * W, 25.0), ("c", 98.0, 0.0, 25.0)]) == 1  # no room
+
+
+def test_nobody_changes_to_a_lane_in_which_somebody_stands(road):
+    me = ("a", 100.0, W, 25.0, 25.0)
+    assert lane_wanted(road, [me]) == 0
+    assert lane_wanted(road, [me, ("s", 450.0, 0.0, 0.0)]) == 1
+    table, planner = VehicleTable(4), None
+    for rows in ([me], [me, ("s", 450.0, 0.0, 0.0)]):
+        table = VehicleTable(4)
+        for vehicle in rows:
+            put(table, *vehicle)
+        planner = GoalPlanner(road, table)
+        planner._changing["a"], planner._review["a"] = (1, -1, 99.0), 0.0
+        table["goal_x"][0], table["goal_y"][0] = 250.0, 0.0
+        plan(planner, 1.0, table, road, {"a": route_lanes(road, ("long",), truck=False)})
+        assert ("a" in planner._changing) == (len(rows) == 1)
+
+
 def test_a_change_is_rested_after(road):
     table = VehicleTable(4)
     planner = GoalPlanner(road, table)

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from phase_sumo.bridge.fleet.occupancy import BEHIND, Occupancy
+from phase_sumo.bridge.fleet.occupancy import BEHIND, FAST, Occupancy, standing_rooms
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import route_lanes
 from phase_sumo.bridge.fleet.table import VehicleTable
@@ -59,3 +59,22 @@ def test_as_a_look_at_all_pairs(road):
                 assert follower[k] in rows[back]
             elif not len(back):
                 assert follower[k] == -1 and np.isinf(behind[k])
+
+
+def test_who_stands_is_found_ahead_and_beside_the_way_of_fast_ones():
+    road = Road(LaneNetwork("two", (lane("e", 0, 0, 900, left=1), lane("e", 1, 0, 900, right=0)), ()))
+    route = route_lanes(road, ("e",), truck=False)
+    for standing, speed, own, beside in (
+        (0.0, 20.0, 95.0, np.inf),
+        (W, 20.0, np.inf, 95.0),
+        (W, FAST - 1.0, np.inf, np.inf),
+        (W, -1.0, np.inf, np.inf),
+    ):
+        table = VehicleTable(4)
+        row = put(table, "a", 100.0, 0.0, max(speed, 20.0 if speed < 0 else speed), 25.0)
+        put(table, "moves", 150.0, 0.0, 15.0)
+        put(table, "stands", 200.0, standing, 5.0 if speed < 0 else 0.0)
+        node = nodes(table, road)
+        occupancy = Occupancy(road, table, node)
+        found = standing_rooms(road, occupancy, node[[row]], np.array([row]), [route])
+        assert [float(room[0]) for room in found] == pytest.approx([own, beside], abs=1.0)

@@ -11,7 +11,15 @@ from phase_sumo.bridge.fleet.occupancy import Occupancy
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import route_lanes
 from phase_sumo.bridge.fleet.table import VehicleTable
-from phase_sumo.bridge.fleet.target_speeds import CLOSING_UP, OTHER_LANE, OWN_LANE, TargetSpeeds
+from phase_sumo.bridge.fleet.target_speeds import (
+    CLOSING_UP,
+    LAG,
+    LOOK,
+    OTHER_LANE,
+    OWN_LANE,
+    STOPPING,
+    TargetSpeeds,
+)
 from phase_sumo.sim.lanes import LaneNetwork
 from tests.helpers.toy_motorway import W, lane, nodes, put
 
@@ -53,7 +61,7 @@ def behind(road: Road, gap: float, leader: float, time_gap: float = T) -> float:
 
 
 @pytest.mark.parametrize(
-    ("gap", "leader"), [(60.0, 15.0), (40.0, 20.0), (20.0, 20.0), (3.0, 12.0), (30.0, 0.0)]
+    ("gap", "leader"), [(60.0, 15.0), (40.0, 20.0), (20.0, 20.0), (3.0, 12.0), (30.0, 3.0)]
 )
 def test_behind_a_leader(road, gap, leader):
     room = gap - (S0 + T * leader)
@@ -61,6 +69,16 @@ def test_behind_a_leader(road, gap, leader):
     expected = np.clip(leader + offset, 3.0, 28.0)
     slack = 1.0 * CLOSING_UP / np.sqrt(2.0 * CLOSING_UP * room) if room > 2 else 0.3  # a node is 1 m
     assert behind(road, gap, leader) == pytest.approx(expected, abs=slack + 0.1)
+
+
+@pytest.mark.parametrize("between", [[], [("c", 150.0, 0.0, 28.0)]])
+def test_who_stands_is_heeded_from_far_and_behind_others(road, between):
+    for gap in (200.0, 100.0, 60.0):
+        scene = [("a", 100.0, 0.0, 20.0, 28.0), ("b", 100.0 + gap + LENGTH, 0.0, 0.0), *between]
+        far = np.sqrt(2.0 * STOPPING * (gap - S0 - LAG * 20.0))
+        near = np.sqrt(2.0 * CLOSING_UP * (gap - S0)) if gap < LOOK and not between else np.inf
+        assert Traffic(road, scene).update()[0] == pytest.approx(min(far, near), abs=0.3)
+    assert behind(road, 400.0, 0.0) == 28.0
 
 
 def test_without_a_leader_in_reach_or_without_a_time_gap_the_driver_decides(road):
