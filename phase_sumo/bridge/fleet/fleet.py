@@ -146,7 +146,7 @@ class Fleet:
         self._count(rows, metres[rows])
         front = np.stack((front_x[rows], front_y[rows]), -1)
         self._writer.write(self._members, rows, self._node[rows], front, time)
-        self._hand_backs.centre()
+        self._hand_backs.settle()
 
     def _rows(self) -> IntArray:
         """Table rows of the members, in their order."""
@@ -267,7 +267,8 @@ class Fleet:
         if member.leads_off and room < needed and not connector:
             self._hand_back(vehicle, "the observed road ends")
         elif min(own, beside) < needed and not connector:
-            self._hand_back(vehicle, f"somebody stands {'ahead' if own < needed else 'beside the way'}")
+            where = "ahead" if own < needed else "beside the way"
+            self._hand_back(vehicle, f"somebody stands {where}", passing=own >= needed)
         elif not member.edges and room < 2.0 + speed * self._scene.session.step_length:
             self._remove(vehicle, "wrong exit")
 
@@ -276,19 +277,19 @@ class Fleet:
         self._scene.trips[vehicle].finished = True
         self._release(vehicle)
 
-    def _hand_back(self, vehicle: str, reason: str, again: bool = True) -> None:
-        """SUMO drives it from the next step on; ``again`` says until when PHASE may drive on."""
+    def _hand_back(self, vehicle: str, reason: str, again: bool = True, passing: bool = False) -> None:
+        """SUMO drives it from the next step on; PHASE may drive ``again``; see `HandBack` for ``passing``."""
         self._scene.events.record("hand-back", vehicle, reason)
         node = int(self._node[self._table.row_of[vehicle]])
         if node >= 0 and not self._lane_id(vehicle):
             self._hand_backs.place(vehicle, self._road, node)
-        self._release(vehicle)
+        self._release(vehicle, passing)
         if again:
             self._adoption.wait(vehicle)
 
-    def _release(self, vehicle: str) -> None:
+    def _release(self, vehicle: str, passing: bool = False) -> None:
         self._plans.restore(vehicle, self._members[vehicle])
-        self._hand_backs.give(vehicle)
+        self._hand_backs.give(vehicle, passing)
         self._drop(vehicle)
         self._table.controlled[self._table.row_of[vehicle]] = False
 

@@ -14,6 +14,7 @@ from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.sumo.session import Simulation, bare
 
 SUMO_SPEED_MODE, SUMO_LANE_MODE = 31, 1621  # SUMO's defaults
+NEEDED_ONLY, PASSING = 1541, 8.0  # lane changes for the route and for others alone, and for how many s
 SIDEWAYS = 0.6  # m/s back to the middle of the lane
 
 
@@ -23,14 +24,17 @@ class HandBack:
     def __init__(self, session: Simulation) -> None:
         self._session, self._api = session, session.api
         self._aside: dict[str, None] = {}
+        self._passing: dict[str, float] = {}
         self._sublanes = float(session.api.simulation.getOption("lateral-resolution")) > 0
         self._place = bare(session.api, "vehicle", "getLanePosition")
 
-    def give(self, vehicle: str) -> None:
-        """SUMO drives it from now on."""
+    def give(self, vehicle: str, passing: bool = False) -> None:
+        """SUMO drives it from now on; ``passing`` keeps it in its lane for a while, if its route does."""
         api = self._api.vehicle
         api.setSpeedMode(vehicle, SUMO_SPEED_MODE)
-        api.setLaneChangeMode(vehicle, SUMO_LANE_MODE)
+        api.setLaneChangeMode(vehicle, NEEDED_ONLY if passing else SUMO_LANE_MODE)
+        if passing:
+            self._passing[vehicle] = self._session.time + PASSING
         api.setSpeed(vehicle, -1.0)
         lane = api.getLaneID(vehicle)
         if lane:
@@ -49,9 +53,14 @@ class HandBack:
     def forget(self, vehicle: str) -> None:
         """The vehicle is driven by the policy, or gone."""
         self._aside.pop(vehicle, None)
+        self._passing.pop(vehicle, None)
 
-    def centre(self) -> None:
-        """One step back to the middle of the lane for those that are beside it."""
+    def settle(self) -> None:
+        """After a step: a bit back to the middle of the lane, and the end of `PASSING`."""
+        for vehicle in [v for v, until in self._passing.items() if self._session.time > until]:
+            del self._passing[vehicle]
+            with suppress(self._session.refused):
+                self._api.vehicle.setLaneChangeMode(vehicle, SUMO_LANE_MODE)
         api, step = self._api.vehicle, SIDEWAYS * self._session.step_length
         for vehicle in list(self._aside):
             try:
