@@ -15,7 +15,7 @@ from phase_sumo.bridge.fleet.drivers import Drivers, Member
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.goals import GoalPlanner
 from phase_sumo.bridge.fleet.hand_back import HandBack
-from phase_sumo.bridge.fleet.occupancy import Occupancy, standing_rooms
+from phase_sumo.bridge.fleet.occupancy import STANDING, Occupancy, standing_rooms
 from phase_sumo.bridge.fleet.parameters import Choice
 from phase_sumo.bridge.fleet.plans import Plans, stops_soon
 from phase_sumo.bridge.fleet.pose import PoseWriter
@@ -222,7 +222,7 @@ class Fleet:
         node = self._node[rows]
         rooms = np.full((2, len(rows)), np.inf)  # in the own lane and those beside
         k = np.flatnonzero(on_route)
-        if len(k):
+        if len(k) and (self._table.active & (self._table["speed"] <= STANDING)).any():
             routes = [members[i][1].route for i in k.tolist()]
             occupancy = Occupancy(self._road, self._table, self._node)
             rooms[:, k] = standing_rooms(self._road, occupancy, node[k], rows[k], routes)

@@ -101,8 +101,11 @@ class GoalPlanner:
         self, occupancy: Occupancy, rows: IntArray, node: IntArray, routes: list[RouteLanes]
     ) -> BoolArray:
         """[n] whether somebody stands in the lane that a vehicle changes to, nearer than in its own."""
+        blocked = np.zeros(len(rows), bool)
+        if not self._changing:
+            return blocked
         beside = self.beside(node)[rows]
-        blocked, k = np.zeros(len(rows), bool), np.flatnonzero(beside >= 0)
+        k = np.flatnonzero(beside >= 0)
         if len(k):
             ways = [routes[i] for i in k.tolist()]
             there, here = (
