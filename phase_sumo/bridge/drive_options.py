@@ -10,6 +10,7 @@ from typing import Any, Literal
 from phase_sumo.bridge.fleet.drivers import Driver
 from phase_sumo.bridge.fleet.parameters import Choice
 from phase_sumo.bridge.maps.sumo_network import read_network
+from phase_sumo.bridge.sumo.conventions import DRIVEN_CLASSES
 from phase_sumo.errors import PhaseError, nearest
 from phase_sumo.sim.lanes import LaneNetwork
 
@@ -69,7 +70,7 @@ class DriveOptions:
 
     def network(self, path: str | Path) -> LaneNetwork:
         """The roads of a network that are observed, see `read_network`."""
-        return read_network(path, self.roads)
+        return read_network(path, self.roads, DRIVEN_CLASSES)
 
     def changed(self, values: Mapping[str, Any]) -> DriveOptions:
         """The same with other values.

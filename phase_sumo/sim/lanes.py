@@ -30,6 +30,7 @@ class Lane:
             which a change is permitted, or -1.
         solid_left, solid_right: a lane of the same edge lies there but may not be changed into.
         allows_car, allows_truck: permissions by vehicle class.
+        class_limits: (vehicle class, its own limit in m/s) where some have one.
         connector: True for a lane inside a junction.
         dead_start, dead_end: the lane begins or ends within the road (acceleration lane, lane drop), so a
             road edge closes it; a lane that merely has no predecessor or successor is open there.
@@ -51,6 +52,7 @@ class Lane:
     solid_right: bool = False
     allows_car: bool = True
     allows_truck: bool = True
+    class_limits: tuple[tuple[str, float], ...] = ()
     connector: bool = False
     dead_start: bool = False
     dead_end: bool = False

@@ -9,10 +9,11 @@ import numpy as np
 
 from phase_sumo.bridge.fleet.drivers import Drivers, Member
 from phase_sumo.bridge.fleet.occupancy import Occupancy, standing_rooms
-from phase_sumo.bridge.fleet.parameters import Choice, Parameters
+from phase_sumo.bridge.fleet.parameters import TARGET_SPEEDS, Choice, Parameters
 from phase_sumo.bridge.fleet.plans import Plans, stops_soon
+from phase_sumo.bridge.fleet.right_of_way import RightOfWay
 from phase_sumo.bridge.fleet.road import Road
-from phase_sumo.bridge.fleet.route import curve_speed, kept_stretch, remaining
+from phase_sumo.bridge.fleet.route import curve_speed, remaining
 from phase_sumo.bridge.fleet.route_views import RouteLanes
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.errors import PhaseError
@@ -23,6 +24,7 @@ TOO_FAST = 4.0  # m/s above what the curves ahead allow with gentle braking
 QUEUE_TIME, QUEUE_ROOM = 5.0, 60.0  # s of driving, at least m, to one who stands: SUMO's until it goes on
 STOP_MARGIN = 1.5  # times the room before a stop, or a vehicle would be given back at once
 REST = 5.0  # s for which a vehicle that was given back stays SUMO's
+ADOPT_EASE = 1.3  # times the room in which a vehicle would be given back, see `RightOfWay`
 SPEED_MODE, LANE_MODE = 96, 0  # SUMO checks nothing while we drive
 
 
@@ -40,14 +42,16 @@ class Adoption:
         choice: Choice,
         drivers: Drivers,
         plans: Plans,
+        ways: RightOfWay,
     ) -> None:
         self._scene, self._api, self._table = scene, scene.api, scene.table
         self._road = road
-        self._choice, self._drivers, self._plans = choice, drivers, plans
+        self._choice, self._drivers, self._plans, self._ways = choice, drivers, plans, ways
         self.left_to_sumo: set[str] = set()
         self._waiting: set[str] = set()  # chosen, but not where they can be taken over
         self._occupancy: Occupancy | None = None
         self._rests: dict[str, float] = {}
+        self._held: dict[str, frozenset[str]] = {}  # edges on which a vehicle stays with SUMO for now
         self._asked = 0
 
     def take_over(self, node: np.ndarray, driven: Container[str]) -> Iterator[tuple[str, Member]]:
@@ -70,37 +74,39 @@ class Adoption:
             row = self._table.row_of[vehicle]
             if self._rests and self._rests.get(vehicle, 0.0) > self._scene.session.time:
                 continue
-            found = self._stretch(vehicle, int(node[row]), bool(facts.shape.truck))
+            if self._held and self._scene.edge(lane) in self._held.get(vehicle, ()):
+                continue
+            found = self._stretch(vehicle, int(node[row]))
             if found and not self._queues(node, row, found[0]):
                 self._waiting.remove(vehicle)
                 self._steer(row, int(node[row]))
+                self._held.pop(vehicle, None)
                 yield vehicle, self._take(vehicle, row, *found)
 
-    def wait(self, vehicle: str) -> None:
-        """A vehicle that was given back may be taken over again after a while."""
+    def wait(self, vehicle: str, edges: frozenset[str] = frozenset()) -> None:
+        """A vehicle that was given back may be taken over again after a while, but not on these edges."""
         self.left_to_sumo.discard(vehicle)
         self._waiting.add(vehicle)
         self._rests[vehicle] = self._scene.session.time + REST
+        self._held[vehicle] = edges
 
     def forget_absent(self) -> None:
         """Keep nothing of vehicles that left the simulation."""
         for vehicle in self._rests.keys() - self._scene.facts.keys():
             del self._rests[vehicle]
+            self._held.pop(vehicle, None)
         self.left_to_sumo.intersection_update(self._scene.facts)
         self._waiting.intersection_update(self._scene.facts)
 
-    def _stretch(
-        self, vehicle: str, node: int, truck: bool
-    ) -> tuple[RouteLanes, tuple[str, ...], bool] | None:
+    def _stretch(self, vehicle: str, node: int) -> tuple[RouteLanes, tuple[str, ...], bool] | None:
         """Lanes and edges of the route's next stretch on the observed road, and whether it leads off it."""
         if node < 0:
             return None
         route = tuple(self._api.vehicle.getRoute(vehicle))
         at = self._api.vehicle.getRouteIndex(vehicle)
-        edges = kept_stretch(self._road, route, at)
+        edges, lanes = self._plans.stretch(vehicle, route, at)
         if not edges or self._stops_soon(vehicle, edges) or len(set(route)) < len(route):
             return None  # on a route that uses an edge twice, SUMO finds moved vehicles on the first lap
-        lanes = self._plans.lanes(edges, truck)
         row, here = self._table.row_of[vehicle], np.array([node])
         turn = float(self._table["yaw"][row] - self._road.graph.node_yaw[node])
         if np.cos(turn) < np.cos(ALIGNED):
@@ -109,10 +115,21 @@ class Adoption:
         fastest = curve_speed(self._road, [lanes], here, truck_here, np.zeros(1))
         if self._table["speed"][row] > fastest + TOO_FAST:
             return None  # SUMO's vehicles take any curve at any speed
+        lane = int(self._road.graph.node_lane[node])
         leads_off = at + len(edges) < len(route)
+        if not lanes.rules.allowed[lane] or self._barred(vehicle, lanes, leads_off, node):
+            return None
         if leads_off and remaining(self._road, lanes, node) < ADOPT_ROOM:
             return None
         return lanes, edges, leads_off
+
+    def _barred(self, vehicle: str, lanes: RouteLanes, leads_off: bool, node: int) -> bool:
+        """Whether it would have to be given back soon, or is slower than the policy can drive."""
+        api, speed = self._api.vehicle, float(self._table["speed"][self._table.row_of[vehicle]])
+        if api.getMaxSpeed(vehicle) < TARGET_SPEEDS[0]:
+            return True
+        factor = float(api.getSpeedFactor(vehicle))
+        return self._ways.bar(vehicle, lanes, leads_off, node, speed, factor, ease=ADOPT_EASE) is not None
 
     def _stops_soon(self, vehicle: str, edges: tuple[str, ...]) -> bool:
         """Whether it has a stop ahead or under way there: SUMO drives until it is done."""

@@ -15,19 +15,22 @@ from phase_sumo.bridge.fleet.drivers import Drivers, Member
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.goals import GoalPlanner
 from phase_sumo.bridge.fleet.hand_back import HandBack
+from phase_sumo.bridge.fleet.lane_rules import LaneRules
 from phase_sumo.bridge.fleet.occupancy import STANDING, Occupancy, standing_rooms
-from phase_sumo.bridge.fleet.parameters import Choice
+from phase_sumo.bridge.fleet.parameters import TARGET_SPEEDS, Choice
 from phase_sumo.bridge.fleet.plans import Plans, stops_soon
 from phase_sumo.bridge.fleet.pose import PoseWriter
+from phase_sumo.bridge.fleet.right_of_way import RightOfWay
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import past_end, remaining
 from phase_sumo.bridge.fleet.scene import Scene
-from phase_sumo.bridge.fleet.target_speeds import SpeedLimits, TargetSpeeds
+from phase_sumo.bridge.fleet.target_speeds import TargetSpeeds
 from phase_sumo.bridge.sumo.session import bare
 
 HAND_BACK_TIME, HAND_BACK_ROOM = 3.5, 30.0  # s, at least m, before the observed road's end: SUMO takes over
 KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer to a lane
 OFF_ROAD_SECONDS = 4.0  # s without a lane after which a vehicle is taken out
+EXTRA_SPEED = 2.0  # m/s^2 by which a vehicle may be faster after a step of SUMO
 VAPORIZED = 3
 
 
@@ -54,16 +57,18 @@ class Fleet:
         calibrator = self._api.calibrator
         self._road.edges -= {calibrator.getEdgeID(name) for name in calibrator.getIDList()}
         self._planner = GoalPlanner(self._road, scene.table)
-        self._limits = SpeedLimits(self._api, road.network)
-        self._speeds = TargetSpeeds(self._road, scene.table, self._limits.values)
+        self._rules = LaneRules(self._api, self._road)
+        self._ways = RightOfWay(self._api, self._road)
+        self._speeds = TargetSpeeds(self._road, scene.table, self._ways.yields)
         self._controller = Controller(
             self._road, scene.table, drivers, self._steps, self._speeds, self._planner
         )
         self._members: dict[str, Member] = {}
         self._released: set[str] = set()
         self._node = np.full(len(scene.table), -1, np.int64)
-        self._plans, self._hand_backs = Plans(scene, self._road), HandBack(scene.session)
-        self._adoption = Adoption(scene, self._road, choice, drivers, self._plans)
+        self._plans = Plans(scene, self._road, self._rules)
+        self._hand_backs = HandBack(scene.session)
+        self._adoption = Adoption(scene, self._road, choice, drivers, self._plans, self._ways)
         self._edge = RoadEdgeMonitor(self._road, scene.table, scene.events)
         self._writer = PoseWriter(self._api, self._road, scene.table)
         self._lane_id = bare(self._api, "vehicle", "getLaneID")
@@ -108,8 +113,9 @@ class Fleet:
             trip.finished = math.isfinite(trip.arrive)
             self._drop(vehicle)
         self._adoption.forget_absent()
-        self._limits.update(time)
+        self._ways.update()
         self._locate()
+        self._follow_rules(time)
         fresh = self._adopt()
         for vehicle in [v for v in self._members if v in self._released]:
             self._hand_back(vehicle, "released", again=False)
@@ -234,7 +240,9 @@ class Fleet:
                 member.off_lane_until = time + KEEP_ON_LANE
             if on:
                 member.lost_since = None
-                if member.leads_off or not member.edges or min(own, beside) < np.inf:
+                self._check_way(vehicle, member, at, own)
+                ends = member.leads_off or not member.edges or min(own, beside) < np.inf
+                if ends and vehicle in self._members:
                     self._check_end(vehicle, member, at, own, beside)
             elif at < 0:
                 member.lost_since = time if member.lost_since is None else member.lost_since
@@ -272,20 +280,48 @@ class Fleet:
         elif not member.edges and room < 2.0 + speed * self._scene.session.step_length:
             self._remove(vehicle, "wrong exit")
 
+    def _check_way(self, vehicle: str, member: Member, node: int, queue: float) -> None:
+        """Leave a vehicle to SUMO where it may have to stop, until it is behind that place."""
+        row = self._table.row_of[vehicle]
+        speed = float(self._table["speed"][row]) + EXTRA_SPEED * self._scene.session.step_length
+        bar = self._ways.bar(vehicle, member.route, member.leads_off, node, speed, member.speed_factor, queue)
+        if bar:
+            self._hand_back(vehicle, bar.reason, edges=bar.edges)
+        elif member.max_speed < TARGET_SPEEDS[0]:
+            self._hand_back(vehicle, "slower than the policy drives")
+
+    def _follow_rules(self, time: float) -> None:
+        """Heed what the lanes allow now."""
+        lane = self._road.graph.node_lane[self._node[self._table.controlled & (self._node >= 0)]]
+        here = {self._road.network.lanes[i].edge for i in np.unique(lane).tolist()}
+        changed = self._rules.update(time, here)
+        for vehicle in self._plans.follow_rules(changed, self._members):
+            self._hand_back(vehicle, "the road is closed")
+
     def _finish(self, vehicle: str) -> None:
         """SUMO takes the last step of the trip, so that the vehicle arrives in its records."""
         self._scene.trips[vehicle].finished = True
         self._release(vehicle)
 
-    def _hand_back(self, vehicle: str, reason: str, again: bool = True, passing: bool = False) -> None:
-        """SUMO drives it from the next step on; PHASE may drive ``again``; see `HandBack` for ``passing``."""
+    def _hand_back(
+        self,
+        vehicle: str,
+        reason: str,
+        again: bool = True,
+        passing: bool = False,
+        edges: frozenset[str] = frozenset(),
+    ) -> None:
+        """SUMO drives it from the next step on; ``again`` says until when PHASE may drive on.
+
+        On ``edges`` it stays SUMO's in any case; see `HandBack` for ``passing``.
+        """
         self._scene.events.record("hand-back", vehicle, reason)
         node = int(self._node[self._table.row_of[vehicle]])
         if node >= 0 and not self._lane_id(vehicle):
             self._hand_backs.place(vehicle, self._road, node)
         self._release(vehicle, passing)
         if again:
-            self._adoption.wait(vehicle)
+            self._adoption.wait(vehicle, edges)
 
     def _release(self, vehicle: str, passing: bool = False) -> None:
         self._plans.restore(vehicle, self._members[vehicle])

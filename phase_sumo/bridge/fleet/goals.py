@@ -58,11 +58,11 @@ class GoalPlanner:
         Args:
             node: [N] node of each row's front bumper, -1 off the road.
         """
-        graph, abreast = self._road.graph, np.full(len(node), -1)
+        road, abreast = self._road, np.full(len(node), -1)
         for vehicle, (lane, side, _) in self._changing.items():
             at = node[self._table.row_of[vehicle]]
-            if at >= 0 and graph.node_lane[at] == lane:
-                abreast[self._table.row_of[vehicle]] = (graph.left if side > 0 else graph.right)[at]
+            if at >= 0 and road.graph.node_lane[at] == lane:
+                abreast[self._table.row_of[vehicle]] = (road.left if side > 0 else road.right)[at]
         return abreast
 
     def update(
@@ -136,7 +136,7 @@ class GoalPlanner:
         side, needed = lane_choice.sides(road, table, occupancy, rows, at, routes, stray | resting)
         lasting = np.array([self._lasts(time, *wish) for wish in zip(vehicles, side.tolist(), strict=True)])
         side = np.where(needed | lasting, side, 0)
-        beside = np.where(side > 0, graph.left[at], np.where(side < 0, graph.right[at], -1))
+        beside = np.where(side > 0, road.left[at], np.where(side < 0, road.right[at], -1))
         changing = beside >= 0
         for k in np.flatnonzero(changing | fresh | stray).tolist():
             row, here = int(rows[k]), int(at[k])

@@ -192,9 +192,8 @@ class _Scene:
     def worth(self, way: int, needed: FloatArray, stretch: FloatArray) -> FloatArray:
         """[n] m/s^2 that a change gains, with the bias; -inf where it is impossible, unsafe or of no use."""
         worth = np.full(len(self._rows), -np.inf)
-        graph = self._road.graph
-        beside = (graph.left if way == LEFT else graph.right)[self._node]
-        use = beside >= 0
+        beside = (self._road.left if way == LEFT else self._road.right)[self._node]
+        use = (beside >= 0) & self._permitted(way)
         if way == LEFT:
             use &= (self._leader >= 0) | np.isfinite(self._block)  # or there is nothing to gain
         use[use] = self._leads_on(beside[use], np.flatnonzero(use), way, needed[use], stretch[use])
@@ -222,6 +221,12 @@ class _Scene:
             value = value + KEEP_RIGHT * free
         worth[k] = np.where(safe(own, after), value, -np.inf)
         return worth
+
+    def _permitted(self, way: int) -> BoolArray:
+        """[n] whether the vehicles' class may change to that side."""
+        name = "left" if way == LEFT else "right"
+        lanes = self._road.graph.node_lane[self._node].tolist()
+        return np.array([getattr(r.rules, name)[i] for r, i in zip(self._routes, lanes, strict=True)], bool)
 
     def _acceleration(self, rows: IntArray, gap: FloatArray, leader: IntArray) -> FloatArray:
         """Of the vehicles ``rows`` behind the ``leader`` rows, -1 for none; rows -1 give a number, too."""

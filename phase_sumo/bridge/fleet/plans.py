@@ -9,10 +9,12 @@ and taken over again behind them.
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 
 import numpy as np
 
 from phase_sumo.bridge.fleet.drivers import Member
+from phase_sumo.bridge.fleet.lane_rules import LaneRules
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import follow_lanes, kept_stretch, route_lanes
 from phase_sumo.bridge.fleet.route_views import RouteLanes
@@ -27,9 +29,9 @@ STOP_TIME, STOP_ROOM = 12.0, 150.0  # s of driving, at least m, before a stop: S
 class Plans:
     """Compares what SUMO holds of each vehicle's route and stops with what PHASE drives by."""
 
-    def __init__(self, scene: Scene, road: Road) -> None:
-        self._scene, self._api, self._road = scene, scene.api.vehicle, road
-        self._routes: dict[tuple[tuple[str, ...], bool], RouteLanes] = {}
+    def __init__(self, scene: Scene, road: Road, rules: LaneRules) -> None:
+        self._scene, self._api, self._road, self._rules = scene, scene.api.vehicle, road, rules
+        self._routes: dict[tuple[tuple[str, ...], str, bool], RouteLanes] = {}
         self._follow = follow_lanes(road)
         self._name = bare(scene.api, "vehicle", "getRouteID")
         self._next = -np.inf
@@ -75,10 +77,10 @@ class Plans:
 
     def take(self, vehicle: str, member: Member) -> bool:
         """Drive by the member's trip from now on; False, and nothing new, where that cannot be."""
-        edges = kept_stretch(self._road, member.trip, 0)
+        edges, lanes = self.stretch(vehicle, member.trip)
         if not edges or len(set(member.trip)) < len(member.trip):
             return False
-        member.route = self.lanes(edges, self._is_truck(vehicle))
+        member.route = lanes
         member.edges, member.leads_off, member.wrong = edges, len(edges) < len(member.trip), False
         return True
 
@@ -94,9 +96,8 @@ class Plans:
         with contextlib.suppress(self._scene.session.refused):
             self._api.changeTarget(vehicle, goal)
             trip = self.ahead(vehicle)
-        edges = kept_stretch(self._road, trip, 0)
-        lanes = self.lanes(edges, self._is_truck(vehicle)) if edges and trip[-1:] == (goal,) else None
-        if lanes is not None and np.isfinite(lanes.changes[self._road.graph.node_lane[node]]):
+        edges, lanes = self.stretch(vehicle, trip)
+        if trip[-1:] == (goal,) and np.isfinite(lanes.changes[self._road.graph.node_lane[node]]):
             member.route, member.edges, member.wrong = lanes, edges, False
             member.leads_off = len(edges) < len(trip)
             self.remember(vehicle, member)
@@ -104,17 +105,43 @@ class Plans:
         else:
             member.route, member.edges, member.leads_off = self._follow, (), False
 
-    def lanes(self, edges: tuple[str, ...], truck: bool) -> RouteLanes:
-        """What the lanes mean to a route of some edges; made once."""
-        key = (edges, truck)
+    def stretch(self, vehicle: str, route: Sequence[str], at: int = 0) -> tuple[tuple[str, ...], RouteLanes]:
+        """The next edges of a route, from index ``at`` on, that PHASE may drive on, and what lanes mean.
+
+        The latter is made once for all vehicles of a class.
+        """
+        facts = self._scene.facts[vehicle]
+        rules = self._rules.of(facts.vehicle_class)
+        edges = kept_stretch(self._road, route, at, rules)
+        key = (edges, facts.vehicle_class, bool(facts.shape.truck))
         if key not in self._routes:
             if len(self._routes) == ROUTES_KEPT:
                 del self._routes[next(iter(self._routes))]  # the oldest
-            self._routes[key] = route_lanes(self._road, edges, truck)
-        return self._routes[key]
+            self._routes[key] = route_lanes(self._road, edges, key[2], rules)
+        return edges, self._routes[key]
 
-    def _is_truck(self, vehicle: str) -> bool:
-        return bool(self._scene.facts[vehicle].shape.truck)
+    def follow_rules(self, changed: set[str], members: dict[str, Member]) -> list[str]:
+        """Look again at the routes over edges on which lanes were closed or opened.
+
+        Returns:
+            vehicles that may not drive on.
+        """
+        if not changed:
+            return []
+        self._routes.clear()
+        stuck = []
+        for vehicle, member in members.items():
+            if changed.isdisjoint(member.edges):
+                continue
+            here = self.ahead(vehicle)[:1]
+            at = member.trip.index(here[0]) if here and here[0] in member.trip else 0
+            edges, lanes = self.stretch(vehicle, member.trip, at)
+            if edges:
+                member.edges, member.route = edges, lanes
+                member.leads_off = len(edges) < len(member.trip) - at
+            else:
+                stuck.append(vehicle)
+        return stuck
 
     def stop_room(self, vehicle: str, edges: tuple[str, ...]) -> float:
         """m to the next stop if that is on one of some edges, inf if not."""

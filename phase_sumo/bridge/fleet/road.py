@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from phase_sumo.arrays import BoolArray, FloatArray, IntArray
@@ -9,6 +11,7 @@ from phase_sumo.bridge.fleet.route_views import RouteViews
 from phase_sumo.bridge.maps.levels import Levels
 from phase_sumo.bridge.maps.road_model import road_model
 from phase_sumo.sim.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, WINDOW, lane_speeds
+from phase_sumo.sim.lane_graph import LaneGraph, build_lane_graph
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.near import pairs_within
 from phase_sumo.sim.road_map import RoadMap
@@ -32,7 +35,11 @@ class Road:
         metres: [L] geometric length.
         edges: ids of the edges that PHASE may drive on, at first all whose lanes are kept and nowhere turn in
             less than `TIGHTEST`.
+        lanes_of: edge -> its lanes, without ways across junctions.
         following, preceding: lanes after and before each lane.
+        abreast: [2, L] lane to the left and to the right on the same edge, -1 for none; whether a change is
+            permitted is another question, see `LaneRules`.
+        left, right: [V] node in these lanes, -1 where they are not abreast.
         curve_speed: [2, V] m/s for the curves ahead in the lane, of cars and of trucks.
     """
 
@@ -48,11 +55,17 @@ class Road:
         tight = self.graph.node_lane[np.abs(self.graph.curvature(WINDOW)) > 1.0 / TIGHTEST]
         self.edges = frozenset(c.edge for c in network.lanes if not c.connector)
         self.edges -= {network.lanes[i].edge for i in tight}
+        self.lanes_of: dict[str, list[int]] = {}
+        for i, lane in enumerate(network.lanes):
+            if not lane.connector:
+                self.lanes_of.setdefault(lane.edge, []).append(i)
         self.following: list[list[int]] = [[] for _ in network.lanes]
         self.preceding: list[list[int]] = [[] for _ in network.lanes]
         for a, b in network.successors:
             self.following[a].append(b)
             self.preceding[b].append(a)
+        self.abreast = _abreast(network)
+        self.left, self.right = _nodes_abreast(network, self.graph, self.abreast)
         self._step = self._neighbourhood()
         self.curve_speed = np.stack([lane_speeds(self.graph, force) for force in (SIDEWAYS, SIDEWAYS_TRUCK)])
 
@@ -145,8 +158,32 @@ class Road:
 
     def _neighbourhood(self) -> IntArray:
         """[V, 6] successors and the nodes abreast; the node itself where there is none."""
-        graph = self.graph
-        options = np.concatenate((graph.successor, graph.left[:, None], graph.right[:, None]), 1).astype(
-            np.int64
-        )
+        options = np.column_stack((self.graph.successor, self.left, self.right)).astype(np.int64)
         return np.where(options >= 0, options, np.arange(len(options))[:, None])
+
+
+def _abreast(network: LaneNetwork) -> IntArray:
+    """[2, L] lanes to the left and right on the same edge, over solid lines too; SUMO counts them in ids."""
+    found = np.array([[lane.left, lane.right] for lane in network.lanes], np.int64).reshape(-1, 2).T
+    place = {lane.id: i for i, lane in enumerate(network.lanes)}
+    up = -1 if network.left_hand else 1
+    for i, lane in enumerate(network.lanes):
+        edge, _, number = lane.id.rpartition("_")
+        for k, (solid, way) in enumerate(((lane.solid_left, up), (lane.solid_right, -up))):
+            if solid and found[k, i] < 0 and number.isdigit():
+                found[k, i] = place.get(f"{edge}_{int(number) + way}", -1)
+    return found
+
+
+def _nodes_abreast(network: LaneNetwork, graph: LaneGraph, abreast: IntArray) -> tuple[IntArray, IntArray]:
+    lanes = network.lanes
+    if all(
+        (lane.left, lane.right) == tuple(pair) for lane, pair in zip(lanes, abreast.T.tolist(), strict=True)
+    ):
+        return graph.left, graph.right
+    open_lanes = [
+        replace(lane, left=left, right=right)
+        for lane, (left, right) in zip(lanes, abreast.T.tolist(), strict=True)
+    ]
+    graph = build_lane_graph(replace(network, lanes=tuple(open_lanes)))
+    return graph.left, graph.right

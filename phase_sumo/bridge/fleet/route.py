@@ -11,10 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from phase_sumo.arrays import BoolArray, FloatArray, IntArray
+from phase_sumo.bridge.fleet.class_rules import ClassRules
 from phase_sumo.bridge.fleet.drivers import Member
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route_views import RouteLanes
-from phase_sumo.sim.curve_speed import FASTEST, braked_to, exit_speeds
+from phase_sumo.sim.curve_speed import BRAKING, FASTEST, braked_to, exit_speeds
+
+LIMIT_AHEAD = 500.0  # m within which lower speed limits matter
 
 
 @dataclass(frozen=True)
@@ -27,41 +30,48 @@ class Place:
     lane: int
 
 
-def kept_stretch(road: Road, edges: Sequence[str], at: int) -> tuple[str, ...]:
-    """The part of a route from index ``at`` on that stays on the observed road without a break."""
+def kept_stretch(
+    road: Road, edges: Sequence[str], at: int, rules: ClassRules | None = None
+) -> tuple[str, ...]:
+    """The part of a route from index ``at`` on that stays on the observed road without a break.
+
+    With ``rules`` it ends before an edge on which these allow no lane.
+    """
     stretch = []
     for edge in edges[at:]:
-        if edge not in road.edges:
+        if edge not in road.edges or (rules and not rules.allowed[road.lanes_of[edge]].any()):
             break
         stretch.append(edge)
     return tuple(stretch)
 
 
-def route_lanes(road: Road, edges: Sequence[str], truck: bool) -> RouteLanes:
-    """Work backwards from the last edge of a stretch, on which every lane counts as arrived.
+def route_lanes(road: Road, edges: Sequence[str], truck: bool, rules: ClassRules | None = None) -> RouteLanes:
+    """Work backwards from the last edge of a stretch, on which every lane that is allowed counts as arrived.
+
+    A lane that is closed to the vehicle is no way on: who is in it must leave it at once, for a lane beside.
 
     Args:
         edges: consecutive edges of the observed road.
-        truck: leave out lanes that trucks may not use.
+        truck: curves are driven as trucks do.
+        rules: what the lanes allow the vehicle's class; as the network file says it by default.
     """
-    lanes = road.network.lanes
-    size = len(lanes)
+    rules = rules or ClassRules.of_network(road.network, truck)
+    size = len(road.network.lanes)
     changes, room, rest = np.full(size, np.inf), np.zeros(size), road.metres.copy()
     onward, side = np.full(size, -1, np.int64), np.zeros(size, np.int64)
-    by_edge: dict[str, list[int]] = {}
-    for i, lane in enumerate(lanes):
-        if not lane.connector and (lane.allows_truck if truck else lane.allows_car):
-            by_edge.setdefault(lane.edge, []).append(i)
-    last = by_edge.get(edges[-1], []) if edges else []
-    changes[last], room[last] = 0.0, np.inf
-    for edge in reversed(edges[:-1]):
-        here = by_edge.get(edge, [])
+    for k, edge in enumerate(reversed(edges)):
+        here = road.lanes_of.get(edge, [])
         for i in here:
-            _extend(road, i, changes, room, onward)
-        _sideways(road, here, changes, side)
+            if not rules.allowed[i]:
+                continue
+            if k == 0:
+                changes[i], room[i] = 0.0, np.inf
+            else:
+                _extend(road, i, changes, room, onward, rules)
+        _sideways(road, here, changes, side, rules)
         _add_up(road, here, onward, rest)
     view = road.views.of(onward, np.isfinite(changes))
-    return RouteLanes(changes, room, onward, side, _exit_speeds(road, onward, truck), rest, view)
+    return RouteLanes(changes, room, onward, side, _exit_speeds(road, onward, truck), rest, view, rules)
 
 
 def follow_lanes(road: Road) -> RouteLanes:
@@ -77,6 +87,7 @@ def follow_lanes(road: Road) -> RouteLanes:
         speed,
         np.array([_way_out(road, onward, i) for i in range(size)]),
         np.zeros((size, 3), np.int64),
+        ClassRules.of_network(road.network, truck=True),
     )
 
 
@@ -84,7 +95,9 @@ def _exit_speeds(road: Road, onward: IntArray, truck: bool) -> FloatArray:
     return exit_speeds(road.curve_speed[int(truck), road.first], road.metres, onward)
 
 
-def _extend(road: Road, i: int, changes: FloatArray, room: FloatArray, onward: IntArray) -> None:
+def _extend(
+    road: Road, i: int, changes: FloatArray, room: FloatArray, onward: IntArray, rules: ClassRules
+) -> None:
     """Value of lane i from the lanes that follow it; connectors get theirs on the way.
 
     Lanes of later edges have their values; all others still hold inf.
@@ -93,6 +106,8 @@ def _extend(road: Road, i: int, changes: FloatArray, room: FloatArray, onward: I
     best = (np.inf, 0.0, -1)
     for j in road.following[i]:
         if lanes[j].connector:
+            if not rules.allowed[j] and rules.allowed[road.following[j]].any():
+                continue  # the way is closed, not what lies behind it
             targets = [k for k in road.following[j] if np.isfinite(changes[k])]
             if not targets:
                 continue
@@ -106,19 +121,22 @@ def _extend(road: Road, i: int, changes: FloatArray, room: FloatArray, onward: I
     room[i] = road.metres[i] - best[1] if best[2] >= 0 else road.metres[i]
 
 
-def _sideways(road: Road, here: list[int], changes: FloatArray, side: IntArray) -> None:
+def _sideways(road: Road, here: list[int], changes: FloatArray, side: IntArray, rules: ClassRules) -> None:
     """Let lanes profit from their neighbours: one change more than the better one."""
-    lanes = road.network.lanes
-    allowed = set(here)
+    beside: dict[int, list[tuple[int, int]]] = {i: [] for i in here}
+    for sign, may, abreast in ((1, rules.left, road.abreast[0]), (-1, rules.right, road.abreast[1])):
+        for i in here:
+            if may[i] and abreast[i] >= 0:
+                beside[i].append((sign, int(abreast[i])))
     for _ in here:
         for i in here:
-            for sign, j in ((1, lanes[i].left), (-1, lanes[i].right)):
-                if j in allowed and changes[j] + 1.0 < changes[i]:
+            for sign, j in beside[i]:
+                if changes[j] + 1.0 < changes[i]:
                     changes[i], side[i] = changes[j] + 1.0, sign
     for i in here:  # where staying is as good, the side is still worth knowing
         if side[i] == 0 and changes[i] > 0:
-            for sign, j in ((1, lanes[i].left), (-1, lanes[i].right)):
-                if j in allowed and changes[j] < changes[i]:
+            for sign, j in beside[i]:
+                if changes[j] < changes[i]:
                     side[i] = sign
 
 
@@ -177,6 +195,31 @@ def curve_speed(
     for k in np.flatnonzero((lead > left) & (leave < FASTEST)).tolist():
         behind = _speed_behind(road, routes[k], int(lane[k]), int(kind[k]), float(lead[k] - left[k]))
         speed[k] = min(speed[k], behind)
+    return speed
+
+
+def limits_ahead(
+    road: Road, routes: Sequence[RouteLanes], node: IntArray, factor: FloatArray, lead: FloatArray
+) -> FloatArray:
+    """[n] m/s that the lanes allow at nodes, less before lanes that allow less.
+
+    Args:
+        factor: [n] on the limits.
+        lead: [n] m by which the speed must be reached earlier.
+    """
+    lane = road.graph.node_lane[node].tolist()
+    limit, cap, least = (
+        np.array([getattr(r.rules, name)[i] for r, i in zip(routes, lane, strict=True)])
+        for name in ("limit", "cap", "least")
+    )
+    speed = np.minimum(factor * limit, cap)
+    for k in np.flatnonzero(factor * least < speed - 0.1).tolist():
+        route, at = routes[k], lane[k]
+        metres = float(road.count[at] - 1 - road.offset(int(node[k])) - lead[k])
+        while metres < LIMIT_AHEAD and (at := int(route.onward[at])) >= 0:
+            there = min(factor[k] * route.rules.limit[at], route.rules.cap[at])
+            speed[k] = min(speed[k], np.sqrt(there**2 + 2.0 * BRAKING * max(metres, 0.0)))
+            metres += float(road.count[at])
     return speed
 
 

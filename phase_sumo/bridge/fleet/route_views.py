@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from phase_sumo.arrays import FloatArray, IntArray
+from phase_sumo.bridge.fleet.class_rules import ClassRules
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.bridge.maps.levels import Levels
 from phase_sumo.bridge.maps.road_model import RoadModel
@@ -42,6 +43,7 @@ class RouteLanes:
         rest: m from the lane's start to the end of the route, lane changes included.
         side: +1 when the lane to the left needs fewer changes, -1 for the right, 0 for neither.
         view: [L, 3] nodes first, end and row of the road map's view for the first, see `RouteViews`.
+        rules: what the lanes allow the vehicle's class.
     """
 
     changes: FloatArray
@@ -51,6 +53,7 @@ class RouteLanes:
     exit_speed: FloatArray
     rest: FloatArray
     view: IntArray
+    rules: ClassRules
 
 
 class RouteViews:

@@ -52,6 +52,7 @@ class VehicleFacts:
     """Constants of a vehicle, read once."""
 
     type: str
+    vehicle_class: str
     shape: ShapeRow
     kind: Kind | None
 
@@ -158,7 +159,8 @@ class Scene:
 
     def _enter(self, vehicle: str, time: float) -> None:
         kind = self.api.vehicle.getTypeID(vehicle)
-        facts = VehicleFacts(kind, *Parameters(self.api, vehicle, kind).shape())
+        own = str(self.api.vehicle.getVehicleClass(vehicle))
+        facts = VehicleFacts(kind, own, *Parameters(self.api, vehicle, kind).shape())
         self.facts[vehicle] = facts
         self.types[vehicle] = kind
         self.trips[vehicle] = Trip(vehicle, kind, time, float(self.api.vehicle.getDepartDelay(vehicle)))

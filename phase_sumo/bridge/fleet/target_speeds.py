@@ -30,7 +30,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from types import ModuleType
 
 import numpy as np
 
@@ -39,37 +38,12 @@ from phase_sumo.bridge.fleet.drivers import Member
 from phase_sumo.bridge.fleet.occupancy import Occupancy
 from phase_sumo.bridge.fleet.parameters import TARGET_SPEEDS
 from phase_sumo.bridge.fleet.road import Road
-from phase_sumo.bridge.fleet.route import curve_speed
+from phase_sumo.bridge.fleet.route import curve_speed, limits_ahead
 from phase_sumo.bridge.fleet.table import VehicleTable
-from phase_sumo.sim.lanes import LaneNetwork
-
-PERIOD = 1.0  # s between two looks
-
-
-class SpeedLimits:
-    """The present limit of every lane.
-
-    Attributes:
-        values: [L] m/s.
-    """
-
-    def __init__(self, api: ModuleType, network: LaneNetwork) -> None:
-        self._api = api
-        self._lanes = [(i, lane.id) for i, lane in enumerate(network.lanes) if not lane.connector]
-        self._next = -np.inf
-        self.values = np.array([lane.speed_limit for lane in network.lanes])
-
-    def update(self, time: float) -> None:
-        """Read them again from time to time; connectors keep what the network says."""
-        if time < self._next - 1e-6:
-            return
-        self._next = time + PERIOD
-        read = self._api.lane.getMaxSpeed
-        for i, name in self._lanes:
-            self.values[i] = read(name)
-
 
 BEFORE = 100.0  # m before the merge from where on vehicles are put in order
+UNDER_WAY = 15.0  # m before the merge, from where on even one who had to give way is let in
+GIVEN_WAY = 2.5  # s later at least come those who must give way
 SLOWEST = 1.0  # m/s at least, for the time of arrival
 
 
@@ -95,8 +69,9 @@ class Approach:
 class Merging:
     """Pairs of vehicles from different branches of a merge."""
 
-    def __init__(self, road: Road, table: VehicleTable) -> None:
-        self._road, self._table = road, table
+    def __init__(self, road: Road, table: VehicleTable, yields: BoolArray) -> None:
+        """``yields``: see `RightOfWay`."""
+        self._road, self._table, self._yields = road, table, yields
         self._approaches = [
             approach for merge in range(len(road.count)) for approach in _approaches(road, merge)
         ]
@@ -123,7 +98,7 @@ class Merging:
             found += [
                 (row, before, way - ahead - float(occupancy.length[before]))
                 for (_, ahead, before, one), (_, way, row, other) in pairwise(coming)
-                if one != other
+                if one != other and (ahead < UNDER_WAY or self._yields[one] <= self._yields[other])
             ]
         rows, leaders, gaps = zip(*found, strict=True) if found else ((), (), ())
         return np.array(rows, np.int64), np.array(leaders, np.int64), np.array(gaps, np.float64)
@@ -138,7 +113,8 @@ class Merging:
             member = members.get(self._table.ids[row])
             if way < BEFORE and (member is None or _leads(member, approach)):
                 speed = max(float(self._table["speed"][row]), SLOWEST)
-                result.append((way / speed, way, row, approach.branch))
+                later = GIVEN_WAY if self._yields[approach.branch] and way > UNDER_WAY else 0.0
+                result.append((way / speed + later, way, row, approach.branch))
         return result
 
 
@@ -184,10 +160,10 @@ STANDING_LOOK, STOPPING = 500.0, 1.8  # m from where on a standing vehicle is he
 class TargetSpeeds:
     """Sets the wanted and the target speed of every PHASE vehicle."""
 
-    def __init__(self, road: Road, table: VehicleTable, limits: FloatArray) -> None:
-        """``limits`` [L] m/s are the lanes' speed limits, kept current by their owner."""
-        self._road, self._table, self._limits = road, table, limits
-        self._merging = Merging(road, table)
+    def __init__(self, road: Road, table: VehicleTable, yields: BoolArray) -> None:
+        """``yields``: see `RightOfWay`."""
+        self._road, self._table = road, table
+        self._merging = Merging(road, table, yields)
 
     def update(
         self, node: IntArray, beside: IntArray, occupancy: Occupancy, members: dict[str, Member]
@@ -257,14 +233,14 @@ class TargetSpeeds:
 
     def _wanted(self, members: list[Member], rows: IntArray, node: IntArray) -> FloatArray:
         """[n] m/s on a free road."""
-        lane = self._road.graph.node_lane[node]
         factor, highest, own = (
             np.array([getattr(m, name) for m in members])
             for name in ("speed_factor", "max_speed", "target_speed")
         )
-        speed = np.where(own > 0, own, np.minimum(self._limits[lane] * factor, highest))
         routes = [member.route for member in members]
         now = self._table["speed"][rows].astype(np.float64)
+        limit = limits_ahead(self._road, routes, node, factor, LAG * now)
+        speed = np.where(own > 0, own, np.minimum(limit, highest))
         speed = np.where(self._askew(rows, node), np.minimum(speed, np.maximum(now, LEAST_ASKEW)), speed)
         truck = self._table["truck"][rows]
         return np.minimum(speed, curve_speed(self._road, routes, node, truck, LAG * now))

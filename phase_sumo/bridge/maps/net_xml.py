@@ -10,7 +10,7 @@ import math
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,6 +45,8 @@ class XmlLane(NamedTuple):
     length: float  # m
     car: bool
     truck: bool
+    allow: str | None  # vehicle classes as written
+    disallow: str | None
     change_up: bool
     change_down: bool
     kind: str  # the edge's type, "" where it has none
@@ -67,11 +69,18 @@ class XmlConnection(NamedTuple):
 
 @dataclass(frozen=True)
 class XmlNet:
+    """A network file.
+
+    Attributes:
+        class_speeds: edge type -> vehicle class -> its own speed limit in m/s.
+    """
+
     path: Path
     lanes: dict[str, XmlLane]
     connections: list[XmlConnection]
     left_hand: bool
     geo: GeoReference | None
+    class_speeds: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def points(self, lane: XmlLane) -> NDArray[np.float64]:
         """[P, 2] centre line in m; heights are dropped, also where only some points have one."""
@@ -108,6 +117,7 @@ def parse_net(path: Path) -> XmlNet:
     by_edge: dict[tuple[str, int], str] = {}
     rows: list[tuple[str, int, str, int, str | None, str]] = []
     others: set[str] = set()
+    class_speeds: dict[str, dict[str, float]] = {}
     geo, left_hand = None, False
     for element in _elements(path):
         if element.tag == "edge":
@@ -123,17 +133,20 @@ def parse_net(path: Path) -> XmlNet:
                 by_edge[lane.edge, lane.number] = lane.id
         elif element.tag == "connection":
             rows.append(_connection(element, path))
+        elif element.tag == "type":
+            limits = {_text(r, "vClass", path): _number(r, "speed", path, FASTEST) for r in element}
+            class_speeds[_text(element, "id", path)] = limits
         elif element.tag == "location":
             geo = GeoReference(element.get("projParameter", ""), element.get("netOffset", ""))
         else:
             left_hand = element.get("lefthand") in ("1", "true")
-    return XmlNet(path, lanes, _connections(rows, lanes, by_edge, others, path), left_hand, geo)
+    return XmlNet(path, lanes, _connections(rows, lanes, by_edge, others, path), left_hand, geo, class_speeds)
 
 
 def _elements(path: Path) -> Iterator[etree._Element]:
     """Location, edges and connections, each freed when done with, and at last the root element."""
     with open_xml(path, "pass a SUMO .net.xml or .net.xml.gz", "write it again with netconvert") as file:
-        wanted = ("location", "edge", "connection")
+        wanted = ("location", "type", "edge", "connection")
         steps = etree.iterparse(file, tag=wanted, huge_tree=True, resolve_entities=False)
         for _, element in steps:
             root = element.getparent()
@@ -185,10 +198,12 @@ def _lanes(edge: etree._Element, path: Path) -> Iterator[XmlLane]:
             width=_number(lane, "width", path, WIDEST, DEFAULT_WIDTH),
             speed=_number(lane, "speed", path, FASTEST),
             length=_number(lane, "length", path, LONGEST),
-            car=_allows(allow, disallow, "passenger"),
-            truck=_allows(allow, disallow, "truck") and _allows(allow, disallow, "trailer"),
-            change_up=_allows(get("changeLeft"), None, "passenger"),
-            change_down=_allows(get("changeRight"), None, "passenger"),
+            car=allows(allow, disallow, "passenger"),
+            truck=allows(allow, disallow, "truck") and allows(allow, disallow, "trailer"),
+            allow=allow,
+            disallow=disallow,
+            change_up=allows(get("changeLeft"), None, "passenger"),
+            change_down=allows(get("changeRight"), None, "passenger"),
             kind=edge.get("type", ""),
             internal=function == "internal",
             start_node=edge.get("from", ""),
@@ -196,7 +211,7 @@ def _lanes(edge: etree._Element, path: Path) -> Iterator[XmlLane]:
         )
 
 
-def _allows(allow: str | None, disallow: str | None, vehicle_class: str) -> bool:
+def allows(allow: str | None, disallow: str | None, vehicle_class: str) -> bool:
     """SUMO's reading: an empty list counts as none given."""
     if allow:
         return _names(allow, vehicle_class)

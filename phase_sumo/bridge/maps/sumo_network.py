@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -15,7 +15,7 @@ from shapely.geometry import LineString
 from phase_sumo.bridge.maps.alignment import Connector, align
 from phase_sumo.bridge.maps.freeway import freeway_edges, road_class
 from phase_sumo.bridge.maps.line_geometry import arc_length, heading, without_spikes, wrap
-from phase_sumo.bridge.maps.net_xml import DEFAULT_WIDTH, XmlLane, XmlNet, network_name, parse_net
+from phase_sumo.bridge.maps.net_xml import DEFAULT_WIDTH, XmlLane, XmlNet, allows, network_name, parse_net
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.lanes import Lane, LaneNetwork, away
 
@@ -32,20 +32,24 @@ Lanes = dict[str, XmlLane]
 Lines = dict[str, np.ndarray]
 
 
-def read_network(path: str | Path, keep: Literal["freeway", "all"] = "freeway") -> LaneNetwork:
+def read_network(
+    path: str | Path, keep: Literal["freeway", "all"] = "freeway", classes: Collection[str] = ()
+) -> LaneNetwork:
     """Read a ``.net.xml`` or ``.net.xml.gz``.
 
     Args:
         path: the network file.
         keep: ``"freeway"`` keeps motorways and trunk roads with their ramps, see `freeway_edges`;
             ``"all"`` keeps every lane that cars or trucks may use.
+        classes: further vehicle classes; lanes for these beside the others are kept, too, and those that are
+            closed for the time being.
 
     Raises:
         PhaseError: the file is missing, damaged or holds no lane to keep.
     """
     path = Path(path)
     net = parse_net(path)
-    drivable = _drivable(net)
+    drivable = _drivable(net, classes)
     narrow = sum(lane.width < NARROWEST for lane in drivable.values())
     warnings = [f"{narrow} lanes narrower than {NARROWEST:g} m left out"] if narrow else []
     drivable = {k: v for k, v in drivable.items() if v.width >= NARROWEST}
@@ -93,9 +97,13 @@ def _odd_lengths(kept: Lanes, lines: Lines) -> list[str]:
     ]
 
 
-def _drivable(net: XmlNet) -> Lanes:
-    """Lanes outside junctions that cars or trucks may use."""
+def _drivable(net: XmlNet, classes: Collection[str]) -> Lanes:
+    """Lanes outside junctions that cars or trucks may use, and those for other classes beside them."""
     drivable = {k: v for k, v in net.lanes.items() if (v.car or v.truck) and not v.internal}
+    if classes:
+        edges = {lane.edge for lane in drivable.values()}
+        more = {k: v for k, v in net.lanes.items() if v.edge in edges and _is_road(v, classes)}
+        drivable = {k: v for k, v in net.lanes.items() if k in drivable or k in more}
     if not drivable:
         raise PhaseError(f"{net.path}: no lane allows cars or trucks; check the lanes' allow/disallow")
     for lane in drivable.values():
@@ -105,6 +113,14 @@ def _drivable(net: XmlNet) -> Lanes:
                 f"correct it, or remove it for SUMO's {DEFAULT_WIDTH} m"
             )
     return drivable
+
+
+def _is_road(lane: XmlLane, classes: Collection[str]) -> bool:
+    """Whether a lane is for vehicles of these classes, or closed."""
+    closed = not lane.allow and "all" in (lane.disallow or "").split()
+    wide = NARROWEST <= lane.width <= WIDEST
+    ours = any(allows(lane.allow, lane.disallow, name) for name in classes)
+    return wide and (closed or ours)
 
 
 def _left_out(drivable: Lanes, chosen: set[str]) -> list[str]:
@@ -136,7 +152,7 @@ def _assemble(
         warnings.append(f"{moved} connections with a sideways jump replaced by smooth curves")
     if len(connectors) < len(forward):
         warnings.append(f"{len(forward) - len(connectors)} connections across lanes left out")
-    lanes = [_lane(kept[k], line, own[k], beside, net.left_hand) for k, line in zip(ids, lines, strict=True)]
+    lanes = [_lane(kept[k], line, own[k], beside, net) for k, line in zip(ids, lines, strict=True)]
     lanes = _mark_dead_ends(lanes, net, kept, drivable, index)
     return replace(_join(name, lanes, connectors, net.left_hand, tuple(warnings)), geo=net.geo)
 
@@ -173,11 +189,13 @@ def _lane(
     line: np.ndarray,
     own: np.ndarray,
     beside: dict[tuple[str, int], int],
-    left_hand: bool,
+    net: XmlNet,
 ) -> Lane:
     up, up_solid = _neighbour(beside.get((lane.edge, lane.number + 1)), lane.change_up)
     down, down_solid = _neighbour(beside.get((lane.edge, lane.number - 1)), lane.change_down)
-    left, right = ((down, down_solid), (up, up_solid)) if left_hand else ((up, up_solid), (down, down_solid))
+    left, right = (
+        ((down, down_solid), (up, up_solid)) if net.left_hand else ((up, up_solid), (down, down_solid))
+    )
     return Lane(
         id=lane.id,
         edge=lane.edge,
@@ -191,6 +209,7 @@ def _lane(
         solid_right=right[1],
         allows_car=lane.car,
         allows_truck=lane.truck,
+        class_limits=tuple(net.class_speeds.get(lane.kind, {}).items()),
         positions=_positions(lane.length, line, own),
         start=lane.start_node,
         end=lane.end_node,

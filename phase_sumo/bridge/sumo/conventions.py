@@ -37,6 +37,7 @@ CAR_CLASSES = frozenset(
 )
 RIGID_CLASSES = frozenset(["truck", "delivery", "bus", "coach"])
 ARTICULATED_CLASSES = frozenset(("trailer",))
+DRIVEN_CLASSES = CAR_CLASSES | RIGID_CLASSES | ARTICULATED_CLASSES
 ARTICULATED_FROM = 12.5  # m: a "truck" longer than the 12 m that a rigid one may have bends
 
 # Shares of the body, the means of what the policy is trained with (sim/scenario.py)

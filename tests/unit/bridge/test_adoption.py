@@ -29,7 +29,7 @@ def test_a_vehicle_that_waits_for_its_road_is_chosen_once():
         facts=dict.fromkeys(names, facts),
     )
     choice = Choice(share=0.5, deterministic=True)
-    adoption = Adoption(scene, None, choice, None, None)  # type: ignore[arg-type]
+    adoption = Adoption(scene, None, choice, None, None, None)  # type: ignore[arg-type]
     nowhere = np.full(4, -1)
     for _ in range(5):
         assert not list(adoption.take_over(nowhere, ()))
@@ -41,18 +41,23 @@ def test_a_vehicle_that_turns_onto_its_lane_waits_until_it_is_in_line():
     table = VehicleTable(2)
     row = put(table, "a", 200.0, 0.0, 15.0)
     node = nodes(table, road)
-    route = SimpleNamespace(getRoute=lambda _: ("e",), getRouteIndex=lambda _: 0)
+    route = SimpleNamespace(
+        getRoute=lambda _: ("e",),
+        getRouteIndex=lambda _: 0,
+        getMaxSpeed=lambda _: 50.0,
+        getSpeedFactor=lambda _: 1.0,
+    )
     scene = SimpleNamespace(api=SimpleNamespace(vehicle=route), table=table)
-    lanes = {(("e",), False): route_lanes(road, ("e",), truck=False)}
-    room = [np.inf]
-    plans = SimpleNamespace(lanes=lambda *key: lanes[key], stop_room=lambda *_: room[0])
-    adoption = Adoption(scene, road, Choice(), None, plans)  # type: ignore[arg-type]
+    stretch, room = (("e",), route_lanes(road, ("e",), truck=False)), [np.inf]
+    plans = SimpleNamespace(stretch=lambda *_: stretch, stop_room=lambda *_: room[0])
+    ways = SimpleNamespace(bar=lambda *_, **__: None)
+    adoption = Adoption(scene, road, Choice(), None, plans, ways)  # type: ignore[arg-type]
     for turn, taken in ((0.0, True), (0.08, True), (-0.15, False), (0.5, False), (2 * np.pi, True)):
         table["yaw"][row] = turn
-        assert bool(adoption._stretch("a", int(node[row]), truck=False)) == taken
+        assert bool(adoption._stretch("a", int(node[row]))) == taken
     table["yaw"][row] = 0.0
     for room[0], taken in ((-20.0, False), (0.0, False), (200.0, False), (400.0, True)):  # m to a stop
-        assert bool(adoption._stretch("a", int(node[row]), truck=False)) == taken
+        assert bool(adoption._stretch("a", int(node[row]))) == taken
 
 
 def test_wheels_and_trailers_stand_as_the_road_bends():
@@ -62,7 +67,7 @@ def test_wheels_and_trailers_stand_as_the_road_bends():
     road = Road(LaneNetwork("bend", (Lane("e_0", "e", points, 3.6, 30.0, 90.0),), ()))
     table = VehicleTable(2)
     row = table.add("a", shape_from_type("trailer", 16.5, 2.5))
-    adoption = Adoption(SimpleNamespace(api=None, table=table), road, Choice(), None, None)  # type: ignore[arg-type]
+    adoption = Adoption(SimpleNamespace(api=None, table=table), road, Choice(), None, None, None)  # type: ignore[arg-type]
     adoption._steer(row, 60)
     assert table["steer"][row] == pytest.approx(np.arctan(table["wheelbase"][row] / radius), rel=0.05)
     assert table["hitch"][row] == pytest.approx(np.arcsin(table["trailer_base"][row] / radius), rel=0.05)

@@ -31,7 +31,7 @@ def neighbours(road, x, y, yaw, controlled):
         table["x"][row], table["y"][row], table["yaw"][row] = x[i], y[i], yaw[i]
         table.controlled[row] = controlled[i]
     rows = np.flatnonzero(table.controlled)
-    speeds = TargetSpeeds(road, table, np.full(len(road.count), 30.0))
+    speeds = TargetSpeeds(road, table, np.zeros(len(road.count), bool))
     steps = Steps.fit(0.1, 0.1)
     controller = Controller(road, table, Drivers(Standin()), steps, speeds, GoalPlanner(road, table))
     controller._node = np.full(len(table), -1)  # on no lane: told by the direction

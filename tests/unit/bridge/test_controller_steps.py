@@ -107,7 +107,7 @@ def driven(road, step, tokens, begin=0.0, seconds=None, accel=0.0):
             table["speed"][row], table["accel"][row] = speed, accel
             table["alpha"][row], table.controlled[row] = 1.0, True
     steps = Steps.fit(step, script.sim.dt)
-    speeds = TargetSpeeds(road, table, np.full(len(road.count), 30.0))
+    speeds = TargetSpeeds(road, table, np.zeros(len(road.count), bool))
     controller = Controller(road, table, Drivers(script), steps, speeds, GoalPlanner(road, table))
     nowhere = np.full(len(table), -1)  # no lane, hence no goals
     for k in range(round((seconds or len(tokens) * script.sim.dt) / step)):

@@ -31,7 +31,7 @@ def road():
     return Road(LaneNetwork("merge", lanes, ((0, 3), (1, 2), (2, 3), (1, 4))))
 
 
-def pairs(road, vehicles, edges=("far", "ramp", "both")):
+def pairs(road, vehicles, edges=("far", "ramp", "both"), yields=(False,) * 5):
     """(follower, leader, gap) of vehicles (name, m to the merge, y, speed[, wanted speed: PHASE drives])."""
     table = VehicleTable(8)
     for name, way, *rest in vehicles:
@@ -44,7 +44,7 @@ def pairs(road, vehicles, edges=("far", "ramp", "both")):
         if len(v) == 5
     }
     node = nodes(table, road)
-    rows, leaders, gaps = Merging(road, table).pairs(Occupancy(road, table, node), members)
+    rows, leaders, gaps = Merging(road, table, np.array(yields)).pairs(Occupancy(road, table, node), members)
     return [
         (table.ids[a], table.ids[b], pytest.approx(gap, abs=2.0))
         for a, b, gap in zip(rows.tolist(), leaders.tolist(), gaps, strict=True)
@@ -79,3 +79,13 @@ def test_order_does_not_depend_on_rows(road):
     assert len(expected) == len(scene) - 1
     for _ in range(5):
         assert pairs(road, [scene[k] for k in rng.permutation(len(scene))]) == expected
+
+
+def test_who_must_give_way_follows_and_slows_nobody(road):
+    yields = (False, False, True, False, False)
+    main, ramp = ("m", 60.0, 0.0, 20.0, 20.0), ("r", 50.0, APART, 20.0, 20.0)
+    assert pairs(road, [main, ramp], yields=yields) == [("r", "m", 50.0 - 60.0 - 5.0)]
+    assert pairs(road, [("m", 95.0, 0.0, 10.0, 10.0), ramp], yields=yields) == [], "far enough behind"
+    assert pairs(road, [main, ("r", 8.0, APART, 20.0, 20.0)], yields=yields) != [], (
+        "let in when all but there"
+    )

@@ -39,7 +39,7 @@ class Traffic:
         self.road, self.table = road, VehicleTable(16)
         self.rows = [put(self.table, *v) for v in vehicles]
         self.planner = GoalPlanner(road, self.table)
-        self.speeds = TargetSpeeds(road, self.table, np.full(len(road.count), LIMIT))
+        self.speeds = TargetSpeeds(road, self.table, np.zeros(len(road.count), bool))
         route = route_lanes(road, ("e",), truck=False)
         self.members = {
             v[0]: Member(route, ("e",), False, 1.0, 50.0, S0, target_speed=v[4], time_gap=time_gap)
