@@ -34,6 +34,18 @@ CARS = """
     <flow id="main" type="car" from="w" to="e" begin="0" end="12" period="3" departSpeed="20"/>
     <flow id="side" type="car" from="s" to="n" begin="0" end="12" period="4" departSpeed="20"/>
 """
+RAMP = (
+    '<node id="a" x="0" y="0"/><node id="b" x="400" y="0"/><node id="c" x="900" y="0"/><node id="r" x="0" y="-120"/>',
+    '<edge id="m0" from="a" to="b" numLanes="2" priority="9" type="highway.motorway" speed="25"/>'
+    '<edge id="m1" from="b" to="c" numLanes="2" priority="9" type="highway.motorway" speed="25"/>'
+    '<edge id="on" from="r" to="b" numLanes="1" priority="3" type="highway.motorway_link" speed="20"/>',
+    '<connection from="m0" to="m1" fromLane="0" toLane="0"/><connection from="m0" to="m1" fromLane="1" toLane="1"/>'
+    '<connection from="on" to="m1" fromLane="0" toLane="0"/>',
+)
+RAMP_CARS = """
+    <flow id="main" type="car" from="m0" to="m1" begin="0" end="20" period="2.5" departLane="0" departSpeed="24"/>
+    <flow id="side" type="car" from="on" to="m1" begin="0" end="4" period="5" departSpeed="18"/>
+"""
 SIGNAL = """<tlLogic id="mid" programID="ours" type="static" offset="0">
     <phase duration="{red}" state="{first}"/><phase duration="100" state="{then}"/></tlLogic>"""
 LANES = (
@@ -120,6 +132,14 @@ def test_nobody_takes_the_right_of_way_of_a_main_road(tmp_path):
     assert min(s.speed for v, seen in run.seen.items() if v.startswith("main") for s in seen) > 17.0
     assert run.reasons() <= {"others have the right of way", "a queue"}
     assert all(taken_back(run, f"side.{k}") for k in range(3))
+
+
+def test_a_ramp_waits_for_a_gap_and_the_main_road_does_not_slow_down(tmp_path):
+    run = Run(tmp_path, RAMP, RAMP_CARS, end=60)
+    assert run.result["collisions"] == 0
+    assert min(s.speed for v, seen in run.seen.items() if v.startswith("main") for s in seen) > 20.0
+    assert "others have the right of way" in run.reasons()
+    assert taken_back(run, "side.0")
 
 
 def test_an_all_way_stop_is_a_stop_for_all(tmp_path):

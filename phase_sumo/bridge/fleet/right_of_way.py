@@ -46,7 +46,7 @@ class Link:
         state: SUMO's letter for the rule, where no signal says it.
         signal, index: that controls it, "" for none.
         inside: first lane within the junction, "" in networks without these.
-        crosses: other ways lead across it, not only into the same lane.
+        crosses: other ways lead across it, not only into the same road.
     """
 
     state: str
@@ -199,8 +199,10 @@ class RightOfWay:
             theirs = max(float(self._api.vehicle.getSpeed(foe.vehicle)), CRAWL)
             length = float(self._api.vehicle.getLength(foe.vehicle))
             mine_in, foe_in = max(foe.own_way, 0.0) / pace, max(foe.way, 0.0) / theirs
-            target = self._inside.get(foe.own_lane, -1)
-            if target >= 0 and self._inside.get(foe.lane, -2) == target:
+            target, other = self._inside.get(foe.own_lane, -1), self._inside.get(foe.lane, -2)
+            if target != other and self._edge(target) == self._edge(other) != "":
+                continue  # into the lane beside
+            if target == other:
                 first, second = (own, pace), (length, theirs)
                 if foe_in < mine_in:
                     first, second = second, first
@@ -277,12 +279,15 @@ class RightOfWay:
         return found
 
     def _crosses(self, inside: str, target: str) -> bool:
-        """Whether ways to other lanes conflict with one."""
+        """Whether ways to other roads conflict with one."""
         if not inside:
             return False
         foes = self._api.lane.getInternalFoes(inside)
         links = [link for foe in foes for link in self._api.lane.getLinks(foe)]
-        return any(link[0] != target for link in links)
+        return any(link[0].rpartition("_")[0] != target.rpartition("_")[0] for link in links)
+
+    def _edge(self, lane: int) -> str:
+        return self._road.network.lanes[lane].edge if lane >= 0 else ""
 
     def _ways(self) -> Iterator[tuple[int, int, int]]:
         """Lane, the lane entered from it, and the next lane outside junctions, which may be the same."""
