@@ -22,7 +22,6 @@ from phase_sumo.bridge.fleet.standing import StandingWatch
 from phase_sumo.bridge.maps.levels import Levels
 from phase_sumo.bridge.maps.sumo_network import odd_lengths
 from phase_sumo.bridge.outputs.trailers import Trailers
-from phase_sumo.bridge.sumo.conventions import DRIVEN_CLASSES
 from phase_sumo.bridge.sumo.options import check_options
 from phase_sumo.bridge.sumo.session import Simulation
 from phase_sumo.errors import PhaseError

@@ -1,4 +1,4 @@
-"""Signals, signs, lanes and limits hold for PHASE's vehicles as for SUMO's: for their class, as they are now."""
+"""Signals, signs, lanes and limits hold for PHASE's vehicles as for SUMO's, of their class, as they are now."""
 
 from __future__ import annotations
 
@@ -35,15 +35,18 @@ CARS = """
     <flow id="side" type="car" from="s" to="n" begin="0" end="12" period="4" departSpeed="20"/>
 """
 RAMP = (
-    '<node id="a" x="0" y="0"/><node id="b" x="400" y="0"/><node id="c" x="900" y="0"/><node id="r" x="0" y="-120"/>',
+    '<node id="a" x="0" y="0"/><node id="b" x="400" y="0"/><node id="c" x="900" y="0"/>'
+    '<node id="r" x="0" y="-120"/>',
     '<edge id="m0" from="a" to="b" numLanes="2" priority="9" type="highway.motorway" speed="25"/>'
     '<edge id="m1" from="b" to="c" numLanes="2" priority="9" type="highway.motorway" speed="25"/>'
     '<edge id="on" from="r" to="b" numLanes="1" priority="3" type="highway.motorway_link" speed="20"/>',
-    '<connection from="m0" to="m1" fromLane="0" toLane="0"/><connection from="m0" to="m1" fromLane="1" toLane="1"/>'
+    '<connection from="m0" to="m1" fromLane="0" toLane="0"/>'
+    '<connection from="m0" to="m1" fromLane="1" toLane="1"/>'
     '<connection from="on" to="m1" fromLane="0" toLane="0"/>',
 )
 RAMP_CARS = """
-    <flow id="main" type="car" from="m0" to="m1" begin="0" end="20" period="2.5" departLane="0" departSpeed="24"/>
+    <flow id="main" type="car" from="m0" to="m1" begin="0" end="20" period="2.5"
+        departLane="0" departSpeed="24"/>
     <flow id="side" type="car" from="on" to="m1" begin="0" end="4" period="5" departSpeed="18"/>
 """
 SIGNAL = """<tlLogic id="mid" programID="ours" type="static" offset="0">
