@@ -19,6 +19,8 @@ DETAIL = 0.1  # m: smaller wiggles between corners are dropped when a lane is ro
 
 def without_duplicates(points: FloatArray, closer: float = 0.02) -> FloatArray:
     """Points without those closer than ``closer`` m to the one before; the last point stays."""
+    if (np.hypot(*np.diff(points, axis=0).T) > closer).all():
+        return points
     keep = [0]
     for i in range(1, len(points)):
         if np.hypot(*(points[i] - points[keep[-1]])) > closer:

@@ -164,17 +164,19 @@ def drivable_surface(network: LaneNetwork) -> BaseGeometry:
     half_width = 0.5 * np.array([lane.width for lane in network.lanes])
     parts = [*shapely.buffer(centres, half_width, cap_style="flat", join_style="mitre")]
     parts += tapers(network)
-    parts += [_seam(network.lanes[a], network.lanes[b]) for a, b in network.successors]
+    parts += _seams(network)
     grown = shapely.union_all(parts).buffer(CLOSE_GAP, join_style="mitre", mitre_limit=2.0)
     surface = grown.buffer(-CLOSE_GAP, join_style="mitre", mitre_limit=2.0)
     return shapely.union_all([_without_small_holes(part) for part in shapely.get_parts(surface)])
 
 
-def _seam(before: Lane, after: Lane) -> BaseGeometry:
-    """Covers the wedge between the square ends of two lanes that meet at an angle."""
-    line = LineString(np.concatenate((before.points[-2:], after.points[:2])))
-    half_width = 0.5 * min(before.width, after.width)
-    return line.buffer(half_width, cap_style="flat", join_style="round", quad_segs=3)
+def _seams(network: LaneNetwork) -> list[BaseGeometry]:
+    """Cover the wedges between the square ends of lanes that meet at an angle."""
+    pairs = [(network.lanes[a], network.lanes[b]) for a, b in network.successors]
+    ends = np.array([np.concatenate((a.points[-2:], b.points[:2])) for a, b in pairs]).reshape(-1, 4, 2)
+    half_width = 0.5 * np.array([min(a.width, b.width) for a, b in pairs])
+    lines = shapely.linestrings(ends)
+    return [*shapely.buffer(lines, half_width, cap_style="flat", join_style="round", quad_segs=3)]
 
 
 def _without_small_holes(surface: Polygon) -> Polygon:
