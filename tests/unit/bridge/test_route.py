@@ -211,3 +211,14 @@ def test_curves_ahead_on_the_route_slow_down(bend):
     assert curve_speed(bend, routes, node, truck, np.zeros(1))[0] == pytest.approx(
         np.sqrt(160.0 + 2.0 * BRAKING * 105.0), rel=0.02
     )
+
+
+def test_an_acceleration_lane_is_no_end_of_the_road(road):
+    """Whether the route stays on the freeway or not: 20 m before its end, 700 m are left."""
+    for edges in (("ramp", "wide", "out", "exit"), ("ramp", "wide", "out", "main")):
+        route = route_lanes(road, edges, truck=False)
+        assert route.onward[2] < 0  # the lane leads nowhere
+        left = remaining(road, route, int(road.first[2]) + 180)
+        assert left == pytest.approx(20.0 + 400.0 + 300.0, abs=4.0)
+        before = remaining(road, route, int(road.first[5]) + 100)
+        assert before == pytest.approx(100.0 + 200.0 + 400.0 + 300.0, abs=4.0)

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from shapely.geometry import LineString, Point
 
+from phase_sumo.bridge.maps.convert import lateral_kinks
 from phase_sumo.bridge.maps.line_geometry import arc_length
-from phase_sumo.bridge.maps.sumo_network import read_network
+from phase_sumo.bridge.maps.sumo_network import odd_lengths, read_network
 from phase_sumo.errors import PhaseError
+from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 from tests.helpers.small_nets import SmallNet, lanes_from
 
@@ -370,3 +372,53 @@ def test_a_jump_is_shared_and_stays_within_its_blend(read):
             far = np.abs(lane.points[:, 0] - 200.0) > 32.0
             assert np.abs(y).max() == pytest.approx(0.9, abs=0.05)
             assert np.abs(y[far]).max() < 0.01
+
+
+def test_lanes_whose_length_is_not_that_of_their_shape_are_named(read):
+    net = SmallNet().edge("odd", lanes_from(0, 200, 0, W), extra={1: {"length": 400.0}})
+    net.edge("even", lanes_from(200, 400, 0, W), extra={0: {"length": 205.0}})
+    network = read(net.connect("odd", "even", (0, 0), (1, 1)))
+    (warning,) = odd_lengths(network.warnings)
+    assert "odd_1 400 m, drawn 200 m" in warning
+    assert "odd_0" not in warning and "even" not in warning
+    many = SmallNet().edge(
+        "far", lanes_from(0, 200, *(W * np.arange(8))), extra={k: {"length": 900.0} for k in range(8)}
+    )
+    (warning,) = odd_lengths(read(many).warnings)
+    assert warning.startswith("8 lanes") and warning.count("drawn") == 5 and "and 3 more" in warning
+
+
+@pytest.mark.parametrize("away", [(500_000.0, 5_400_000.0), (-5_000_000.0, 0.25)])
+def test_a_network_far_from_the_origin_is_the_same_road(read, away):
+    def net(x0, y0):
+        bend = [[(x0, y + y0), (x0 + 200, y + y0), (x0 + 390, y + y0 + 61.7)] for y in (0, W)]
+        net = SmallNet().edge("a", bend, type="highway.motorway")
+        net.rows.append(f'<location netOffset="{x0},{y0}" projParameter="+proj=utm +zone=32"/>')
+        return net
+
+    near, far = read(net(0.0, 0.0)), read(net(*away))
+    assert near.origin == (0.0, 0.0) and np.abs(np.concatenate([v.points for v in far.lanes])).max() < 300.0
+    assert far.geo is not None
+    offset = np.array([float(v) for v in far.geo.net_offset.split(",")])
+    np.testing.assert_allclose(offset, np.array(away) - far.origin, atol=1e-6)
+    back = far.moved(*far.origin)
+    for a, b in zip(near.lanes, back.lanes, strict=True):
+        np.testing.assert_allclose(b.points - away, a.points, atol=1e-5)
+        assert (a.left, a.right) == (b.left, b.right)
+    graphs = [build_lane_graph(network) for network in (near, far)]
+    np.testing.assert_allclose(graphs[0].node_yaw, graphs[1].node_yaw, atol=1e-4)
+    assert not len(lateral_kinks(graphs[1]))
+    moved = read(net(away[0] + 1234.5, away[1] - 77.25))
+    assert [v.points.tobytes() for v in moved.lanes] == [v.points.tobytes() for v in far.lanes]
+
+
+def test_the_corner_of_an_exit_is_not_left_to_the_metres_within_the_junction(read):
+    """Three lanes of which the right one leads off, at an angle of which 3.3 m would be far too tight."""
+    for degrees in (10, 16, 23, 35):
+        along = np.array([np.cos(np.radians(degrees)), -np.sin(np.radians(degrees))])
+        start = np.array([403.3, -0.3])
+        net = SmallNet().edge("main", lanes_from(0, 400, 0, W, 2 * W))
+        net.edge("on", lanes_from(403.3, 800, W, 2 * W)).edge("exit", [[start, start + 200 * along]])
+        net.connect("main", "exit", (0, 0)).connect("main", "on", (1, 0), (2, 1))
+        graph = build_lane_graph(read(net))
+        assert np.abs(graph.curvature(2)).max() < 0.16 * np.radians(degrees)

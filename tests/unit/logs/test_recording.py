@@ -8,7 +8,7 @@ import torch
 
 from phase_sumo.logs.recording import poses, shape
 from phase_sumo.sim.vehicles import VehicleState, boxes
-from tests.helpers.recordings import recording_of
+from tests.helpers.recordings import ROAD, recording_of
 
 ROWS = np.arange(3)
 
@@ -65,3 +65,15 @@ def test_where_a_vehicle_is_absent_there_is_no_pose():
     found = np.stack(poses(recording, ROWS, np.arange(20)))
     assert np.isnan(found[:, :, 8:12]).all() and np.isfinite(found[:, :, :8]).all()
     assert np.isfinite(found[:, :, 12:]).all()
+
+
+def test_a_recording_far_from_the_origin_is_moved_there():
+    x, y = np.array([[0.0, 3.0, np.nan]]), np.array([[3.6, 3.7, 3.8]])
+    near = recording_of(x, y)
+    assert near.near_origin() is near
+    far = recording_of(x + 600_000.0, y + 5_400_000.0, network=ROAD.moved(600_000.0, 5_400_000.0))
+    moved = far.near_origin()
+    assert np.abs(moved.network.lanes[0].points).max() < 1000.0
+    beside = [r.y[0, 1] - r.network.lanes[0].points[0, 1] for r in (near, moved)]
+    along = [r.x[0, 1] - r.network.lanes[0].points[0, 0] for r in (near, moved)]
+    assert beside[0] == pytest.approx(beside[1], abs=1e-6) and along[0] == pytest.approx(along[1], abs=1e-6)
