@@ -135,6 +135,7 @@ class Road:
         _, near = pairs_within(np.array([[x, y]]), self.graph.node_xy, OVERLAP)
         turn = self.graph.node_yaw[near] - self.graph.node_yaw[node]
         near = near[lanes[self.graph.node_lane[near]] & (np.cos(turn) > np.cos(MATCH_YAW))]
+        near = near[self.levels.touching(np.full(len(near), self.piece[node]), self.piece[near])]
         if not len(near):
             return -1
         return int(near[np.hypot(*(self.graph.node_xy[near] - (x, y)).T).argmin()])

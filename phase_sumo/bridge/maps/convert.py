@@ -19,6 +19,7 @@ import numpy as np
 
 from phase_sumo.arrays import FloatArray, IntArray
 from phase_sumo.bridge.maps.import_map import read_map
+from phase_sumo.bridge.maps.levels import Levels
 from phase_sumo.bridge.maps.line_geometry import arc_length
 from phase_sumo.bridge.maps.net_xml import network_name
 from phase_sumo.bridge.maps.road_model import road_model
@@ -93,7 +94,12 @@ def load_or_build(network: LaneNetwork, folder: str | Path, seed: int = 0) -> Ma
 
 def read_stretches(path: str | Path) -> list[LaneNetwork]:
     """The freeways of a map file, cut to stretches of `STRETCH` metres where they are long."""
-    return cut(read_map(path), STRETCH)
+    return flat_stretches(read_map(path), STRETCH)
+
+
+def flat_stretches(network: LaneNetwork, stretch: float) -> list[LaneNetwork]:
+    """Stretches, see `cut`, of which none holds roads over each other: places of a map are on one level."""
+    return [flat for part in cut(network, stretch) for flat in Levels(part).flat()]
 
 
 def convert(
@@ -139,7 +145,7 @@ def convert(
         report(0.2 * done / len(paths), path.name)
         begin = time.perf_counter()
         network = read_map(path, keep, left_hand)
-        parts = cut(network, stretch)
+        parts = flat_stretches(network, stretch)
         _check_sizes(path, parts)
         maps.append((network, parts, time.perf_counter() - begin))
     named = zip(paths, maps, strict=True)

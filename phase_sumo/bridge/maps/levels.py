@@ -223,15 +223,24 @@ class Levels:
 
     def drawn(self, pieces: BoolArray) -> LaneNetwork:
         """The network of the given pieces [P] alone."""
+        return self._cut(np.where(pieces, 0, -1))[0]
+
+    def flat(self) -> list[LaneNetwork]:
+        """The network, or one for each layer where roads lie over each other."""
+        layer, drawn = self.layers
+        return [self._network] if len(drawn) == 1 else self._cut(layer)
+
+    def _cut(self, section: IntArray) -> list[LaneNetwork]:
+        """A network for each section of the pieces [P], negative ones left out."""
         cuts: dict[str, list[Piece]] = {}
         for i, edge in enumerate(self._edge.tolist()):
             count, first = int(self._pieces[edge]), int(self._first[edge])
-            ends = np.flatnonzero(np.diff(pieces[first : first + count])) + 1
+            ends = np.flatnonzero(np.diff(section[first : first + count])) + 1
             bounds = [0, *ends.tolist(), count]
             cuts[self._network.lanes[i].edge] = [
-                Piece(0 if pieces[first + a] else -1, a / count, b / count) for a, b in pairwise(bounds)
+                Piece(int(section[first + a]), a / count, b / count) for a, b in pairwise(bounds)
             ]
-        return parts(self._network, cuts)[0]
+        return parts(self._network, cuts)
 
 
 def _holds(keys: IntArray, asked: IntArray) -> BoolArray:

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from phase_sumo.bridge.fleet.road import Road
+from phase_sumo.bridge.maps.convert import flat_stretches
 from phase_sumo.bridge.maps.levels import Levels
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 from phase_sumo.sim.road_map import RoadKind
@@ -116,3 +117,13 @@ def test_places_of_lanes_in_sumos_words():
     levels = Levels(crossing(90.0))
     assert levels.of_lane("lower_0", 300.0) == pieces(levels, (0, 0.5))[0][0]
     assert levels.of_lane("elsewhere_0", 1.0) == -1
+
+
+def test_maps_for_training_hold_one_level_each():
+    parts = flat_stretches(crossing(40.0), 0.0)
+    assert len({part.name for part in parts}) == len(parts) == 2
+    assert [len(Levels(part).layers[1]) for part in parts] == [1, 1]
+    metres = sum(float(np.hypot(*np.diff(v.points, axis=0).T).sum()) for p in parts for v in p.lanes)
+    assert metres == pytest.approx(1200.0)
+    (alone,) = flat_stretches(LaneNetwork("one", (lane("a", [(0, 0), (300, 0)]),), ()), 0.0)
+    assert alone.name == "one"
