@@ -121,3 +121,27 @@ def test_a_vehicle_over_the_line_does_not_see_the_oncoming_lane_as_its_own():
     assert yaw[row] == pytest.approx(0.0, abs=1e-3)
     x, y = centres(road, int(rows[row])).T
     assert x.max() > 190.0 and (x > 99.0).all() and np.abs(y).max() < 0.1
+
+
+@pytest.mark.parametrize("degrees", [2, 10, 25, 60])
+def test_every_branch_of_a_fork_is_seen_whatever_their_number_and_angle(degrees):
+    """One lane that leads on to six, evenly spread over twice the angle."""
+    turns = np.radians(np.linspace(-degrees, degrees, 6))
+    ends = [(LENGTH + 200 * np.cos(turn), 200 * np.sin(turn)) for turn in turns]
+    shapes = [((0.0, 0.0), (LENGTH, 0.0)), *(((LENGTH, 0.0), end) for end in ends)]
+    lanes = tuple(
+        Lane(f"e{k}_0", f"e{k}", np.array(xy), 3.6, 30.0, float(np.hypot(*np.subtract(*xy))))
+        for k, xy in enumerate(shapes)
+    )
+    road = Road(LaneNetwork("six", lanes, tuple((0, k) for k in range(1, 7))))
+    straight = road.graph.successor[road.first[0] + road.count[0] - 1, 0]
+    for k, turn in enumerate(turns, start=1):
+        row = view_from(road, ("e0", f"e{k}"), 0, 250)
+        if row < 0:  # what any place shows
+            assert road.graph.node_lane[straight] == k
+        else:
+            x, y = centres(road, row).T - np.array([[LENGTH], [0.0]])
+            aside = np.abs(y * np.cos(turn) - x * np.sin(turn))
+            assert (aside[x > 10.0] < 0.5).sum() >= 3
+        x, y = centres(road, view_from(road, ("e0", f"e{k}"), k, 8)).T - np.array([[LENGTH], [0.0]])
+        assert np.abs(y * np.cos(turn) - x * np.sin(turn)).max() < 0.1
