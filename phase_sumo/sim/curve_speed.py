@@ -18,6 +18,7 @@ WINDOW = 6  # m before and behind a node over which its road turns: a kink is dr
 SIDEWAYS, SIDEWAYS_TRUCK = 3.0, 2.0  # m/s^2 in a curve
 BRAKING = 1.2  # m/s^2 on the way to it
 FASTEST = 40.0  # m/s, of all vehicles
+LATER = 1.0e6  # m^2/s^2, more than the square of any speed and of what any lane's length adds to it
 
 
 def braked_to(speed: FloatArray, metres: FloatArray) -> FloatArray:
@@ -33,15 +34,12 @@ def lane_speeds(graph: LaneGraph, sideways: float) -> FloatArray:
     Returns:
         [V] m/s, up to `FASTEST`.
     """
-    speed = np.minimum(np.sqrt(sideways / np.maximum(np.abs(graph.curvature(WINDOW)), 1e-6)), FASTEST)
-    node = np.arange(len(speed))
-    following = np.minimum(node + 1, graph.lane_end)  # a lane's nodes are numbered in driving direction
-    gap = np.hypot(*(graph.node_xy[node] - graph.node_xy[following]).astype(np.float64).T)
-    while True:
-        slowed = np.minimum(speed, np.where(following > node, braked_to(speed[following], gap), FASTEST))
-        if np.array_equal(slowed, speed):
-            return speed
-        speed = slowed
+    highest = np.minimum(sideways / np.maximum(np.abs(graph.curvature(WINDOW)), 1e-6), FASTEST**2)
+    # v^2 + 2 b s of the slowest place ahead in the lane; what comes in later lanes is kept out of reach
+    metres = graph.along - graph.along[graph.lane_start]
+    ahead = highest + 2.0 * BRAKING * metres + LATER * graph.node_lane
+    slowest = np.minimum.accumulate(ahead[::-1])[::-1] - LATER * graph.node_lane
+    return np.minimum(np.sqrt(np.maximum(slowest - 2.0 * BRAKING * metres, 0.0)), FASTEST)
 
 
 def exit_speeds(first: FloatArray, metres: FloatArray, onward: IntArray) -> FloatArray:
