@@ -89,6 +89,30 @@ class SimConfig:
 
 
 @dataclass(frozen=True)
+class GuardConfig:
+    """What `sim.guard` assumes and keeps. Values are for cars and for trucks, where there are two."""
+
+    # Others brake no harder than this, m/s^2: our own vehicles' bounds, and SUMO's vehicles up to their decel
+    others_braking: tuple[float, float] = (8.0, 6.0)
+    # Brakes in an emergency build up with this, m/s^3: hydraulic ones reach 8 m/s^2 in about 0.25 s, of air
+    # brakes UN Regulation 13 asks for 75 % of their effect in 0.6 s
+    emergency_jerk: tuple[float, float] = (30.0, 10.0)
+    gap: float = 0.5  # m kept to those ahead, choice
+    aside: float = 0.1  # m kept to those beside, choice
+    approach: float = 0.4  # m up to which a vehicle may steer towards them, choice
+    followers_jerk: float = 5.0  # m/s^3 with which those behind may speed up for one more step, our lattice's
+    steering_rate: float = 0.3  # rad/s, our lattice's
+    straighten: float = 0.3  # s, time constant with which an evading vehicle turns along its lane, choice
+    settle: float = 1.8  # s after which it runs along its lane or stands, choice
+    approach_edge: float = 0.3  # m up to which it may steer towards the road's edge, choice
+    grip: float = 0.9  # share of the grip that curves ahead may take, choice
+    drift: float = 0.5  # s for which others are expected to go on moving sideways, choice
+    wobble: float = 0.4  # m/s sideways: who is faster is taken to change lanes, choice
+    crossing: float = 1.5  # s for which those are expected to go on, choice
+    improbable: float = 7.0  # nats below the likeliest action: braking by the guard comes first then, choice
+
+
+@dataclass(frozen=True)
 class RewardConfig:
     """Reward weights (paper: Table reward_constants) and goal-quality tolerances."""
 

@@ -8,7 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from phase_sumo.config import ActionConfig, Actions, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.config import ActionConfig, Actions, GuardConfig, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.sim import guard as guarding
 from phase_sumo.sim import scenario
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.dimensions import truck_slots
@@ -50,10 +51,12 @@ class Environment:
         share: (k, n) for every n-th of the worlds only, from the k-th on; the others run elsewhere.
         rho: curriculum progress to begin with.
         compiled: step through torch.compile (about a minute to start; many times faster from then on).
+        guard: what vehicles must not do is kept from them (`sim.guard`); `step` takes scores then.
 
     Attributes:
         worlds: shapes, states, tasks of all agents.
         rho: curriculum progress; set it at will.
+        decision: with a guard, what came of the last step's scores, [W, N].
     """
 
     def __init__(
@@ -71,9 +74,10 @@ class Environment:
         share: tuple[int, int] = (0, 1),
         compiled: bool = False,
         rho: float = 0.0,
+        guard: GuardConfig | None = None,
     ) -> None:
         self.sim, self.scenarios, self.reward_config, self.actions = sim, scenarios, reward, actions
-        self.slots, self.rho = slots, rho
+        self.slots, self.rho, self.guard = slots, rho, guard
         self.trailers = truck_slots(slots, scenarios)
         self.generator = torch.Generator(device=device).manual_seed(seed)
         self.road_map = merge([m.road_map for m in maps]).to(device)
@@ -114,8 +118,15 @@ class Environment:
         """Advance every world by one step; worlds that are over begin their next scenario.
 
         Args:
-            action: [W, N] int64 tokens; those of inactive agents are ignored.
+            action: [W, N] int64 tokens; those of inactive agents are ignored. With a guard [W, N, A], the
+                scores of all actions, of which the highest is wanted; ``decision`` is what came of them.
         """
+        commands = None
+        if self.guard is not None:
+            self.decision = guarding.of_worlds(
+                action, self.worlds, self.road_map, self.map_index, self.actions, self.sim, self.guard
+            )
+            action, commands = self.decision.token, (self.decision.jerk, self.decision.rate)
         rho = torch.tensor(self.rho, device=self.tuple_index.device)
         self.worlds, transition = self._advance(
             self.worlds,
@@ -129,6 +140,7 @@ class Environment:
             self.actions,
             self.trailers,
             self._beyond(),
+            commands,
         )
         self._used |= transition.over
         self._steps += 1

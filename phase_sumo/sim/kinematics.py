@@ -39,6 +39,16 @@ def command(
     return alpha * along, across
 
 
+def lattice(state: VehicleState, alpha: Tensor, actions: Actions, dt: float) -> tuple[Tensor, Tensor]:
+    """Jerks [R, J] and steering rates [R, C] of all actions of R vehicles; see `command`."""
+    jerks, rates = (torch.tensor(axis, device=alpha.device) for axis in actions.axes)
+    token = torch.arange(len(jerks), device=alpha.device) * len(rates)
+    along, _ = command(token, state.map(lambda v: v.unsqueeze(1)), alpha.unsqueeze(1), actions, dt)
+    token = torch.arange(len(rates), device=alpha.device)
+    _, across = command(token, state.map(lambda v: v.unsqueeze(1)), alpha.unsqueeze(1), actions, dt)
+    return along, across.expand(len(alpha), -1)
+
+
 def steer_limit(shape: VehicleShape, speed: Tensor, config: SimConfig) -> Tensor:
     """Largest steering angle in rad at a speed: the wheel's stop, or the grip, v^2 tan(d) / L <= a_lat."""
     grip = torch.where(shape.truck, config.truck_lateral_accel, config.lateral_accel)

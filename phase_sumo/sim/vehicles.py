@@ -25,6 +25,10 @@ class TensorBatch:
     def map(self: B, function: Callable[[Tensor], Tensor]) -> B:
         return type(self)(**{f.name: function(getattr(self, f.name)) for f in fields(self)})
 
+    def take(self: B, index: Tensor) -> B:
+        """Rows ``index`` [n] of the first axis."""
+        return self.map(lambda values: values.index_select(0, index))
+
     def where(self: B, mask: Tensor, other: B) -> B:
         """``self`` where mask [W, N] holds, ``other`` elsewhere."""
 

@@ -125,6 +125,7 @@ def advance(
     actions: Actions,
     trailers: int,
     beyond: Beyond | None = None,
+    commands: tuple[Tensor, Tensor] | None = None,
 ) -> tuple[Worlds, Transition]:
     """One step of every world, without side effects, randomness or synchronisation with a device.
 
@@ -134,9 +135,10 @@ def advance(
         rho: scalar curriculum progress.
         trailers: only this many slots, the first ones, may have a trailer.
         beyond: for worlds with rolling goals or scripted vehicles.
+        commands: jerk and steering rate [W, N] instead of those of ``action``.
     """
     before, agents, shape, task = worlds.state, worlds.controlled, worlds.shape, worlds.task
-    jerk, rate = kinematics.command(action, before, task.alpha, actions, sim.dt)
+    jerk, rate = commands or kinematics.command(action, before, task.alpha, actions, sim.dt)
     after = kinematics.advance(shape, before, jerk, rate, sim).where(agents, before)
     script, there = worlds.script, worlds.active
     if beyond is not None:
