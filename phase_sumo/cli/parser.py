@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Callable
 from typing import Any
 
 import phase_sumo
-from phase_sumo.cli import commands, evaluation
+from phase_sumo.cli import commands, evaluation, scenario_arguments
 from phase_sumo.cli.files import TUNE_TABLE
-from phase_sumo.cli.words import CommandParser, count, flag, time
+from phase_sumo.cli.words import CommandParser, count
 
 RUN_SUMO = ("check", "run", "compare", "search")
 
@@ -175,91 +174,14 @@ def make_parser() -> argparse.ArgumentParser:
         "--out", required=True, metavar="DIR", help="folder of the scenario, which takes its name"
     )
 
-    for name, command, text in (
-        ("check", commands.check, "what PHASE would drive of a scenario, what it leaves to SUMO, and why"),
-        ("run", commands.run, "run a SUMO scenario with PHASE vehicles"),
-        ("compare", commands.compare, "the same demand under several driver models, with an HTML report"),
-    ):
-        sub = add(name, command, text)
-        sub.add_argument("--policy", metavar="FILE", help="the shipped policy if left out")
-        sub.add_argument(
-            "--share",
-            "--device.phase.probability",
-            type=float,
-            metavar="P",
-            help="of the vehicles that PHASE drives, 0..1; if left out 1, or 0 with explicit ids",
-        )
-        sub.add_argument(
-            "--device.phase.explicit",
-            dest="explicit",
-            type=_ids,
-            default=[],
-            metavar="ID,ID",
-            help="vehicles that PHASE drives in any case",
-        )
-        sub.add_argument(
-            "--device.phase.deterministic",
-            dest="deterministic",
-            type=flag,
-            default=False,
-            metavar="BOOL",
-            help="meet the share by counting vehicles instead of drawing",
-        )
-        sub.add_argument(
-            "--types",
-            nargs="+",
-            default=[],
-            metavar="VTYPE",
-            help="vTypes that the share is taken of; all if left out",
-        )
-        sub.add_argument(
-            "--alpha",
-            nargs="+",
-            type=float,
-            metavar="A",
-            help="action range, one value or two bounds in 0.1..1; drawn from 0.3..1 if left out",
-        )
-        sub.add_argument(
-            "--time-gap",
-            type=float,
-            metavar="S",
-            help="that target speeds leave to the leader; 0: the policy alone; each vType's tau if left out",
-        )
-        sub.add_argument(
-            "-e", "--end", type=time, metavar="S", help="stop at this time; the scenario's end if left out"
-        )
-        if name != "compare":
-            sub.add_argument("--seed", type=int, help="SUMO's and ours; the scenario's if left out")
-        if name == "run":
-            sub.add_argument(
-                "--out",
-                metavar="DIR",
-                help="folder for SUMO's and our outputs; without, SUMO's stay where the scenario has them",
-            )
-            sub.add_argument("--gui", action="store_true", help="show SUMO's window")
-            sub.add_argument(
-                "--traci", action="store_true", help="SUMO in a process of its own instead of libsumo"
-            )
-        if name == "compare":
-            sub.add_argument(
-                "--models",
-                nargs="+",
-                default=["phase", "idm"],
-                help="phase, phase:0.3 (30 %% PHASE among the first SUMO model named), idm, krauss, eidm ...",
-            )
-            sub.add_argument(
-                "--seeds",
-                type=count,
-                nargs="+",
-                default=[1],
-                metavar="N",
-                help="how many, counted from --seed; or which, when there are several numbers",
-            )
-            sub.add_argument("--seed", type=int, default=1, help="the first of them")
-            sub.add_argument(
-                "--jobs", type=int, metavar="N", help="simulations at a time; one per core if left out"
-            )
-            sub.add_argument("--out", required=True, metavar="DIR", help="folder for the report")
+    sub = add("check", commands.check, "what PHASE drives of a scenario, what it leaves to SUMO, and why")
+    scenario_arguments.add_driving(sub)
+    sub = add("run", commands.run, "run a SUMO scenario with PHASE vehicles")
+    scenario_arguments.add_driving(sub)
+    scenario_arguments.add_run(sub)
+    sub = add("compare", commands.compare, "the same demand under several driver models, with an HTML report")
+    scenario_arguments.add_driving(sub, own_seed=False)
+    scenario_arguments.add_compare(sub)
 
     sub = add("realism", evaluation.realism, "how far rollouts from recorded initial states are from the log")
     sub.add_argument(
@@ -308,10 +230,6 @@ def make_parser() -> argparse.ArgumentParser:
     sub.add_argument("--out", default="out/demo", metavar="DIR", help="folder for the report")
     sub.set_defaults(seed=1)
     return parser
-
-
-def _ids(text: str) -> list[str]:
-    return [name for name in re.split(r"[,;\s]+", text) if name]
 
 
 def _part(text: str) -> str:
