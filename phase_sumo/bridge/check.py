@@ -13,13 +13,14 @@ from phase_sumo.bridge.fleet.parameters import KEYS, KINDS
 from phase_sumo.bridge.maps.freeway import kind_of_road
 from phase_sumo.bridge.maps.network_facts import network_facts
 from phase_sumo.bridge.sumo.conventions import vehicle_kind
+from phase_sumo.bridge.sumo.demand import sumo_model
 from phase_sumo.bridge.sumo.demand_survey import DemandSurvey, survey
-from phase_sumo.bridge.sumo.options import SumoScenario, changes, read_scenario
+from phase_sumo.bridge.sumo.option_names import TRUE
+from phase_sumo.bridge.sumo.options import ASKED, SumoScenario, changes, read_scenario
 from phase_sumo.errors import PhaseError, nearest
 from phase_sumo.sim.lanes import LaneNetwork
 
 OURS = ("phase.", "has.phase.", "device.phase.")  # beginnings of our parameters
-REROUTED = "device.rerouting"
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,7 @@ def check_scenario(
             "elsewhere": sum(edge not in driven for _, edge in demand.stops),
         },
         rerouting=_rerouting(demand, driven, scenario),
-        changed=[str(change) for change in changes(scenario, drive.seed, drive.end)],
+        changed=_changed(scenario, drive),
         warnings=[*network.warnings, *scenario.warnings],
     )
 
@@ -191,10 +192,17 @@ def _rerouting(demand: DemandSurvey, driven: frozenset[str], scenario: SumoScena
     return {name: count for name, count in found.items() if count}
 
 
+def _changed(scenario: SumoScenario, drive: DriveOptions) -> list[str]:
+    found = [str(change) for change in changes(scenario, drive.seed, drive.end)]
+    if drive.model:
+        found.append(f"the car-following model of every vType -> {sumo_model(drive.model)} ({ASKED})")
+    return found
+
+
 def _seed(scenario: SumoScenario, drive: DriveOptions) -> int | None:
     if drive.seed is not None and "seed" not in scenario.user:
         return drive.seed
-    if scenario.value("random").lower() in ("true", "1", "yes", "on", "t", "x"):
+    if scenario.value("random").lower() in TRUE:
         return None
     return int(scenario.value("seed", "23423"))
 

@@ -132,12 +132,10 @@ def test_device_options_are_ours_on_both_sides_of_the_dashes(scenario, tmp_path)
         assert ("--" in arguments) == ({"v1", "v2"} <= found)
 
 
-def test_unknown_vehicles_are_told(scenario):
-    result = run_scenario(
-        scenario(*MARKED[:2]), policy=Standin(), explicit=["nobody"], types=["notype"], seed=1, end=2
-    )
-    assert [text for text in result["warnings"] if "nobody" in text]
-    assert [text for text in result["warnings"] if "notype" in text]
+def test_unknown_vehicles_are_refused(scenario):
+    for unknown in ({"explicit": ["nobody"]}, {"types": ["notype"]}):
+        with pytest.raises(PhaseError, match="in none of the scenario's files"):
+            run_scenario(scenario(*MARKED[:2]), policy=Standin(), **unknown)
 
 
 def test_context_reaches_the_policy_and_may_change_during_the_run(started):
@@ -319,7 +317,7 @@ def test_own_loop_traci_and_run_are_the_same_simulation(scenario):
 def test_the_example_runs(tmp_path):
     script = ROOT / "scenarios" / "own_loop.py"
     done = subprocess.run(
-        [sys.executable, str(script), "--end", "8"],
+        [sys.executable, str(script), "--end", "14"],
         capture_output=True,
         text=True,
         cwd=tmp_path,

@@ -83,6 +83,12 @@ def test_ten_lines_tell_it_and_json_holds_it(net, tmp_path):
     assert Check(**json.loads(json.dumps(check.to_json()))) == check
 
 
+def test_a_model_for_all_is_said(net, tmp_path):
+    check = checked(tmp_path, net, model="idm", phase=False)
+    assert "the car-following model of every vType -> IDM (the command line says so)" in check.changed
+    assert check.share == 0.0 and check.phase == {}
+
+
 def test_the_scenarios_seed_holds_unless_told_otherwise(net, tmp_path):
     seeded = '<seed value="5"/>'
     assert checked(tmp_path, net, options=seeded).time["seed"] == 5

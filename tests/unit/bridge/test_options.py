@@ -149,6 +149,15 @@ def test_models_reach_included_files(tmp_path):
     assert "DEFAULT_VEHTYPE" not in types.read_text(encoding="utf-8")  # defined by the included file
 
 
+def test_models_reach_a_loaded_state(scenario_file, tmp_path):
+    state = '<snapshot><vType id="car" vClass="passenger" carFollowModel="Krauss"/></snapshot>'
+    (tmp_path / "state.xml").write_text(state)
+    scenario = read_scenario(scenario_file('<input><load-state value="state.xml"/></input>'))
+    assert "--load-state" not in values(command(scenario, tmp_path / "w"))
+    loaded = Path(values(command(scenario, tmp_path / "w", model="IDM"))["--load-state"])
+    assert 'carFollowModel="IDM"' in loaded.read_text(encoding="utf-8")
+
+
 def test_files_without_change_are_used_as_they_are(scenario_file, tmp_path):
     scenario = read_scenario(scenario_file())
     inputs = InputFiles(tmp_path / "w")
