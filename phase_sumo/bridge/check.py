@@ -146,6 +146,11 @@ def check_names(demand: DemandSurvey, drive: DriveOptions) -> None:
     for who, key, value in demand.params:
         if key.startswith(OURS) and key not in KEYS:
             raise PhaseError(f"{who}: parameter {key}={value!r} is not known{nearest(key, KEYS)}")
+        if key == "phase.type" and value not in KINDS:
+            known = ", ".join(KINDS)
+            raise PhaseError(
+                f"{who}: parameter {key}={value!r}, expected one of {known}{nearest(value, KINDS)}"
+            )
     for name in drive.types:
         if name in demand.mixes:
             members = " ".join(demand.mixes[name])

@@ -101,6 +101,7 @@ def test_the_scenarios_seed_holds_unless_told_otherwise(net, tmp_path):
 @pytest.mark.parametrize(
     ("routes", "drive", "message"),
     [
+        (MISTYPED.replace("phase.alfa", "phase.type"), {}, "phase.type='1', expected one of car"),
         (MISTYPED, {}, "vType 't'.*phase.alfa.*did you mean phase.alpha"),
         (ROUTES, {"types": ("vann",)}, "'vann' is in none.*did you mean van"),
         (ROUTES, {"types": ("mix",)}, "'mix' is a vTypeDistribution; name its vTypes: van cab"),
