@@ -1,4 +1,4 @@
-"""Signals, signs, lanes and limits hold for PHASE's vehicles as for SUMO's, of their class, as they are now."""
+"""Signals, signs, lanes and limits hold for PHASE's vehicles as for SUMO's, of their class, in force now."""
 
 from __future__ import annotations
 
