@@ -82,7 +82,9 @@ class Check:
             "SUMO drives": f"the other roads: {_counts(self.other_roads)}",
             "PHASE's vehicles": f"{_counts(self.phase)}; {100 * self.share:g} % of these",
             "SUMO's vehicles": _counts(self.sumo),
-            "right of way": f"between these roads: {', '.join(signals) or 'nothing to wait for'}",
+            "right of way": f"{', '.join(signals)}: SUMO drives where one must wait"
+            if signals
+            else "none asked for",
             "stops": f"{stops}SUMO drives before and at them" if any(self.stops.values()) else "none",
             "on the way": _counts(self.rerouting),
             "changed": "; ".join(self.changed) or "nothing",
