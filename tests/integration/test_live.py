@@ -15,6 +15,7 @@ import sumolib
 import traci
 
 import phase_sumo
+from phase_sumo.bridge.drive_options import DriveOptions
 from phase_sumo.bridge.fleet import drivers
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.cli import main
@@ -133,9 +134,9 @@ def test_device_options_are_ours_on_both_sides_of_the_dashes(scenario, tmp_path)
 
 
 def test_unknown_vehicles_are_refused(scenario):
-    for unknown in ({"explicit": ["nobody"]}, {"types": ["notype"]}):
+    for options in (DriveOptions(explicit=["nobody"]), DriveOptions(types=["notype"])):
         with pytest.raises(PhaseError, match="in none of the scenario's files"):
-            run_scenario(scenario(*MARKED[:2]), policy=Standin(), **unknown)
+            run_scenario(scenario(*MARKED[:2]), options, policy=Standin())
 
 
 def test_context_reaches_the_policy_and_may_change_during_the_run(started):
