@@ -1,4 +1,4 @@
-"""Signals, signs, lanes and limits hold for PHASE's vehicles as for SUMO's, of their class, in force now."""
+"""Signals, signs, lanes and limits hold for PHASE as for SUMO: those of the vehicle's class, as they are."""
 
 from __future__ import annotations
 

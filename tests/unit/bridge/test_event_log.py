@@ -6,7 +6,7 @@ import dataclasses
 import math
 from types import SimpleNamespace
 
-from phase_sumo.bridge.fleet.event_log import Event, EventLog, read_events, write_events
+from phase_sumo.bridge.fleet.event_log import Event, EventLog, Kind, read_events, write_events
 
 
 def test_events_come_back_from_their_file(tmp_path):
@@ -40,7 +40,7 @@ def test_collisions_soon_after_a_hand_back_are_marked():
     )
     log = EventLog(clock, SimpleNamespace(row_of={}), {})  # type: ignore[arg-type]
     found = []
-    for time, kind, phase in (
+    happened: tuple[tuple[float, Kind, bool], ...] = (
         (0.0, "collision", False),
         (1.0, "hand-back", False),
         (10.0, "collision", False),
@@ -49,7 +49,8 @@ def test_collisions_soon_after_a_hand_back_are_marked():
         (20.0, "hand-back", False),
         (21.0, "adoption", False),
         (22.0, "collision", False),
-    ):
+    )
+    for time, kind, phase in happened:
         clock.time = time + 0.1
         event = log.add(Event(time, kind, "x" if kind == "collision" else "a", "a", phase=phase))
         found += [event.after_hand_back] * (kind == "collision")

@@ -76,6 +76,7 @@ def test_before_a_signal_that_is_not_green(letter):
 def test_the_vehicle_stays_sumos_up_to_the_line():
     junction = Junction(signal="r")
     bar = junction.ways.bar("ego", junction.route, False, 350, SPEED, 1.0)
+    assert bar is not None
     assert bar.edges == {"a"}
     assert bar.metres == pytest.approx(50.0, abs=1.5)
 

@@ -417,8 +417,9 @@ def test_the_corner_of_an_exit_is_not_left_to_the_metres_within_the_junction(rea
     for degrees in (10, 16, 23, 35):
         along = np.array([np.cos(np.radians(degrees)), -np.sin(np.radians(degrees))])
         start = np.array([403.3, -0.3])
+        leads = [start.tolist(), (start + 200 * along).tolist()]
         net = SmallNet().edge("main", lanes_from(0, 400, 0, W, 2 * W))
-        net.edge("on", lanes_from(403.3, 800, W, 2 * W)).edge("exit", [[start, start + 200 * along]])
+        net.edge("on", lanes_from(403.3, 800, W, 2 * W)).edge("exit", [leads])
         net.connect("main", "exit", (0, 0)).connect("main", "on", (1, 0), (2, 1))
         graph = build_lane_graph(read(net))
         assert np.abs(graph.curvature(2)).max() < 0.16 * np.radians(degrees)
