@@ -181,12 +181,12 @@ def roundabout() -> LaneNetwork:
 
 
 def by_pass() -> LaneNetwork:
-    """A fork whose branches join again after 60 and 110 m."""
+    """A fork whose branches join again after 100 and 150 m."""
     lanes = (
         lane("a", [(0, 0), (80, 0)]),
-        lane("short", [(80, 0), (140, 0)]),
-        lane("long", [(80, 0), (90, -20), (100, -46), (120, -46), (130, -20), (140, 0)]),
-        lane("b", [(140, 0), (260, 0)]),
+        lane("short", [(80, 0), (180, 0)]),
+        lane("long", [(80, 0), (95, -25), (112, -48), (148, -48), (165, -25), (180, 0)]),
+        lane("b", [(180, 0), (300, 0)]),
     )
     return LaneNetwork("by-pass", lanes, ((0, 1), (0, 2), (1, 3), (2, 3)))
 
