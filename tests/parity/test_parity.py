@@ -10,6 +10,7 @@ import torch
 
 from phase_sumo.bridge.fleet import adoption
 from phase_sumo.bridge.fleet.parameters import Choice
+from phase_sumo.bridge.fleet.route_views import RouteViews
 from phase_sumo.bridge.fleet.table import STATE
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.bridge.sumo.conventions import yaw_from_angle
@@ -25,8 +26,15 @@ from tests.parity.replay import Replay
     ("road", "step"),
     [("f12_scurve2", 0.1), ("f12_scurve2", 0.5), ("f04_onramp3", 0.1), ("f20_lefthand2", 1.0)],
 )
-def test_observations_and_next_states(tmp_path, road, step):
-    """Sub-steps of a long SUMO step included; vehicles that SUMO drives are copied from there."""
+def test_observations_and_next_states(tmp_path, monkeypatch, road, step):
+    """Sub-steps of a long SUMO step included; vehicles that SUMO drives are copied from there.
+
+    All see what their places show: along routes, where a place shows another road, only the bridge looks.
+    """
+    nothing = staticmethod(
+        lambda table, node, routes: (np.full(len(node), -1), np.zeros(len(node), np.float32))
+    )
+    monkeypatch.setattr(RouteViews, "seen", nothing)
     network, driver = read_network(NETWORKS / f"{road}.net.xml"), Standin()
     kept = record(write_scenario(tmp_path, road, SCENE, step), network, driver, until=12.0)
     start = check_start(kept)

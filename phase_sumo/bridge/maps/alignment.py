@@ -139,7 +139,8 @@ JUMP = 0.3  # m sideways at a junction that a vehicle is not asked to follow
 BLEND = 15.0, 60.0  # m, shortest and longest blend at either side of a junction
 BLEND_CURVATURE = 0.006  # 1/m that a blend reaches where it has the room: 5.4 m/s^2 at 30 m/s
 COINCIDE = 0.5  # m: lanes whose ends are closer need no connector
-TIGHT = 0.02  # rad/m that a connector turns at most; the lanes take the rest of a corner
+TIGHT = 0.06  # rad/m that a connector turns at most; the lanes take the rest of a corner
+GENTLE = 0.02, 0.15  # rad/m above which the lanes take up to some rad of a corner in any case
 SAME_ROAD = 1.2  # rad: larger turns at a junction are turns into another road
 CORNER = 0.1  # rad: a connector with a sharper corner is drawn anew
 FITS = 0.1  # m that SUMO's internal lanes may be off the lanes they join
@@ -226,7 +227,8 @@ def _end_yaws(lines: list[FloatArray], connectors: list[Connector]) -> FloatArra
         (a, b), c = ends[k], connectors[k]
         reach = float(np.hypot(*(lines[c.target][0] - lines[c.source][-1])))
         turn = wrap(float(yaws[b] - yaws[a]))
-        excess = float(np.sign(turn)) * max(abs(turn) - TIGHT * reach, 0.0)
+        gentle = min(abs(turn) - GENTLE[0] * reach, GENTLE[1])
+        excess = float(np.sign(turn)) * max(abs(turn) - TIGHT * reach, gentle, 0.0)
         if abs(turns[k]) < SAME_ROAD and not (decided[a] and decided[b]):
             share = 0.5 if decided[a] == decided[b] else float(decided[b])
             yaws[a] += share * excess
