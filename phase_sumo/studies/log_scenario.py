@@ -15,7 +15,7 @@ import numpy as np
 
 from phase_sumo.bridge.maps.import_map import netconvert
 from phase_sumo.logs.lane_matching import LanePlaces
-from phase_sumo.logs.recording import Kind, Window
+from phase_sumo.logs.recording import PERIOD, Kind, Window
 from phase_sumo.sim.lanes import LaneNetwork
 
 SPEED_LIMIT = 45.0  # m/s on every lane: what a driver wants is the vehicle's, by its speed factor
@@ -243,8 +243,8 @@ def desired_speeds(window: Window) -> np.ndarray:
 def write_demand(window: Window, start: Start, model: str, path: Path) -> list[str]:
     """Write a route file in which all vehicles depart at once; returns their ids.
 
-    They are inserted in the middle of their lanes, in the right order, and moved to their places before they
-    drive.
+    They are inserted in the middle of their lanes, in the right order, a step's way behind their places, and
+    moved there before they drive: the way that SUMO sees them come is their speed.
     """
     r, names, lines = window.recording, [], []
     for k, row in enumerate(window.agents.tolist()):
@@ -255,10 +255,11 @@ def write_demand(window: Window, start: Start, model: str, path: Path) -> list[s
             f'width="{r.width[k]:.2f}" maxSpeed="60" speedDev="0"/>'
         )
         names.append(name)
+    behind = np.maximum(start.position - start.speed * PERIOD, 0.0)
     for k, row in enumerate(window.agents.tolist()):
         lines.append(
             f'<vehicle id="v{row}" type="t{row}" depart="0" departLane="{start.lane[k]}" '
-            f'departPos="{start.position[k]:.2f}" departSpeed="0" insertionChecks="none" '
+            f'departPos="{behind[k]:.2f}" departSpeed="0" insertionChecks="none" '
             f'speedFactor="{start.desired[k] / SPEED_LIMIT:.5f}">'
             f'<route edges="{" ".join(start.edges[k])}"/></vehicle>'
         )
