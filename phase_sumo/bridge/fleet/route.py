@@ -86,7 +86,7 @@ def follow_lanes(road: Road) -> RouteLanes:
         np.zeros(size, np.int64),
         speed,
         np.array([_way_out(road, onward, i) for i in range(size)]),
-        np.zeros((size, 4), np.int64),
+        np.zeros((size, 3), np.int64),
         ClassRules.of_network(road.network, truck=True),
     )
 

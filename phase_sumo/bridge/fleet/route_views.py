@@ -28,8 +28,6 @@ from phase_sumo.sim.road_view import RoadView
 AHEAD = 100  # m before a fork from which the branch is in sight
 BESIDE = 6.0  # m between centres of lanes of different roads that may be taken for one another
 EVERY = 3  # nodes of the other lanes that are looked at
-NEAR = 8  # m along the own lane within which the node that a place shows lies
-SAME = 0.01  # m between a node and where a place has it
 GROWTH = 1.5  # of the table when it is full
 
 
@@ -44,8 +42,7 @@ class RouteLanes:
         exit_speed: m/s at the lane's end for the curves that follow.
         rest: m from the lane's start to the end of the route, lane changes included.
         side: +1 when the lane to the left needs fewer changes, -1 for the right, 0 for neither.
-        view: [L, 4] nodes first, end and row of the road map's view for the first, see `RouteViews`, and the
-            node from which on they show what no place does.
+        view: [L, 3] nodes first, end and row of the road map's view for the first, see `RouteViews`.
         rules: what the lanes allow the vehicle's class.
     """
 
@@ -75,11 +72,8 @@ class RouteViews:
         self._last = self._first + self._count - 1
         ways = graph.successor[self._last].astype(np.int64)
         self._straight = np.where(ways[:, 0] >= 0, graph.node_lane[ways[:, 0]], -1)
-        self._behind = np.full(len(graph.node_lane), -1)  # the node before each
-        for successor in graph.successor.T[::-1]:
-            self._behind[successor[successor >= 0]] = np.flatnonzero(successor >= 0)
         self._unclear = self._beside_others(levels, piece)
-        self._known: dict[tuple[int, ...], tuple[int, int, int, int]] = {}
+        self._known: dict[tuple[int, ...], tuple[int, int, int]] = {}
         self._rows = len(model.map.view)
 
     def of(self, onward: IntArray, on_route: NDArray[np.bool_]) -> IntArray:
@@ -90,16 +84,16 @@ class RouteViews:
             on_route: [L] lanes of the route.
 
         Returns:
-            [L, 4] as in `RouteLanes`; first = end where places show the road.
+            [L, 3] first node, end node and row of the first; first = end where places show the road.
         """
-        result = np.zeros((len(onward), 4), np.int64)
+        result = np.zeros((len(onward), 3), np.int64)
         missing = []
-        for lane, ahead, (first, end, sure) in self._parts(onward, np.flatnonzero(on_route)):
-            key = (first, end, *ahead)
+        for lane, ahead, part in self._parts(onward, np.flatnonzero(on_route)):
+            key = (*part, *ahead)
             if key not in self._known:
-                self._known[key] = (first, end, self._rows, sure)
-                self._rows += end - first
-                missing.append((first, end))
+                self._known[key] = (*part, self._rows)
+                self._rows += part[1] - part[0]
+                missing.append(part)
             result[lane] = self._known[key]
         if missing:
             ends = np.flatnonzero(on_route & (onward >= 0))
@@ -128,34 +122,15 @@ class RouteViews:
         at = np.maximum(at - front, self._graph.lane_start[at])  # places are those of the reference point
         lane = self._graph.node_lane[at].tolist()
         own = [views[k][i] for k, i in zip(on.tolist(), lane, strict=True)]
-        first, end, row, sure = np.array(own, np.int64).reshape(-1, 4).T
-        inside = np.flatnonzero((at >= first) & (at < end))
-        place = [torch.from_numpy(table[name][rows[inside]]) for name in ("x", "y")]
-        inside = inside[(at[inside] >= sure[inside]) | ~self._shown(place, at[inside])]
-        result[rows[inside]] = (row + at - first)[inside]
+        first, end, row = np.array(own, np.int64).reshape(-1, 3).T
+        result[rows] = np.where((at >= first) & (at < end), row + at - first, -1)
         yaw[rows] = self._graph.node_yaw[at]
         return result, yaw
 
-    def _shown(self, place: list[torch.Tensor], node: IntArray) -> NDArray[np.bool_]:
-        """[n] whether what places x, y [n] show is the road that the nodes there lie on."""
-        graph = self._graph
-        cell = self.map.cell(torch.from_numpy(self._model.layer[node]), *place)
-        along, ahead, behind = [node], node, node
-        for _ in range(NEAR):
-            ahead = np.where(graph.successor[ahead, 0] >= 0, graph.successor[ahead, 0], ahead)
-            behind = np.where(self._behind[behind] >= 0, self._behind[behind], behind)
-            along += [ahead, behind]
-        own = np.stack(along, 1)
-        own = np.concatenate(
-            [own, *(np.where(s[own] >= 0, s[own], own) for s in (graph.left, graph.right))], 1
-        )
-        apart = np.abs(graph.node_xy[own] - self.map.cell_node[cell].numpy()[:, None]).max(-1)
-        return apart.min(1) < SAME
-
     def _parts(
         self, onward: IntArray, lanes: IntArray
-    ) -> Iterator[tuple[int, tuple[int, ...], tuple[int, int, int]]]:
-        """Lanes, the lanes that follow within sight, and first, end and sure of the nodes with own views."""
+    ) -> Iterator[tuple[int, tuple[int, ...], tuple[int, int]]]:
+        """Lanes with the lanes that follow within sight, and their nodes [first, end) with own views."""
         for lane in lanes.tolist():
             first, count = int(self._first[lane]), int(self._count[lane])
             ahead, metres, turns = [], 0, AHEAD
@@ -167,12 +142,10 @@ class RouteViews:
                 ahead.append(at)
                 metres += int(self._count[at])
             begin, end = self._unclear[lane].tolist()
-            sure = count
             if turns < AHEAD:
-                sure = max(count - (AHEAD - turns), 0)
-                begin, end = min(begin, sure), count
+                begin, end = min(begin, max(count - (AHEAD - turns), 0)), count
             if begin < end:
-                yield lane, tuple(ahead), (first + begin, first + end, first + sure)
+                yield lane, tuple(ahead), (first + begin, first + end)
 
     def _beside_others(self, levels: Levels, piece: IntArray) -> IntArray:
         """[L, 2] first and end of each lane's nodes beside lanes that it does not lead to, else count, 0."""

@@ -41,7 +41,7 @@ def centres(road: Road, row: int) -> np.ndarray:
 
 def view_from(road: Road, edges: tuple[str, ...], lane: int, metres: int) -> int:
     """Row of what a route shows from a place of a lane, -1 if that is what any place shows."""
-    first, end, row, _ = route_lanes(road, edges, truck=False).view[lane]
+    first, end, row = route_lanes(road, edges, truck=False).view[lane]
     node = int(road.first[lane]) + metres
     return int(row + node - first) if first <= node < end else -1
 
