@@ -9,7 +9,7 @@ from tests.helpers.places import NETWORKS
 ROADS = {
     "f12_scurve2": "main0",
     "f04_onramp3": "main0 main1 main2",
-    "f20_lefthand2": "main0 main1 main2 main3",
+    "f20_lefthand2": "main1 main2 main3 main4",
 }
 TYPES = """
     <vType id="car" vClass="passenger" length="4.8" width="1.9"/>

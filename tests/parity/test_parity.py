@@ -36,7 +36,9 @@ def test_observations_and_next_states(tmp_path, monkeypatch, road, step):
     )
     monkeypatch.setattr(RouteViews, "seen", nothing)
     network, driver = read_network(NETWORKS / f"{road}.net.xml"), Standin()
-    kept = record(write_scenario(tmp_path, road, SCENE, step), network, driver, until=12.0)
+    kept = record(
+        write_scenario(tmp_path, road, SCENE, step), network, driver, until=8.0 if step == 1.0 else 12.0
+    )
     start = check_start(kept)
     replay = Replay(network, kept, start, driver.sim)
     sumo_after = {s.decisions: s for s in kept.steps}
