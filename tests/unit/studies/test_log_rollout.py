@@ -69,7 +69,7 @@ def test_rollouts_start_as_recorded_and_drive_on(tmp_path, model, radius, left_h
     assert found.x.shape == (4, 21)
     moved = np.hypot(found.x[:, 0] - log.x[:, 0], found.y[:, 0] - log.y[:, 0])
     # a trailer bends with the road; its record is one straight box
-    assert (moved < [0.02, 0.05 if radius and model == "phase" else 0.02, 0.02, 0.02]).all()
+    assert (moved < [0.02, 0.2 if radius and model == "phase" else 0.02, 0.02, 0.02]).all()
     assert found.speed[:, 0] == pytest.approx(log.speed[:, 0], abs=0.01)
     step = np.hypot(np.diff(found.x), np.diff(found.y)) / 0.1
     assert step == pytest.approx(found.speed[:, 1:], abs=0.4)
