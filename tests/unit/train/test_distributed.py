@@ -119,7 +119,7 @@ def test_two_processes_train_as_one_with_all_worlds_would(straight_map, tmp_path
     assert sum(result["samples"] for result in apart) == together["samples"]
     assert all(result["samples"] > 0 for result in apart)
     for result in apart:
-        torch.testing.assert_close(result["gradient"], together["gradient"], atol=1e-6, rtol=0.0)
+        torch.testing.assert_close(result["gradient"], together["gradient"], atol=1e-6, rtol=1e-5)
         assert result["stats"] == pytest.approx(together["stats"], rel=1e-4, abs=1e-6)
         assert result["scale"] == pytest.approx(together["scale"], rel=1e-5)
     assert torch.equal(apart[0]["weights"], apart[1]["weights"])
