@@ -87,7 +87,7 @@ def test_the_network_converts_into_a_road_that_can_be_driven(path):
     kinds = {lane.edge: lane.kind for lane in parse_net(path).lanes.values()}
     ramp = np.array(["_link" in kinds[lane.edge] or lane.connector for lane in network.lanes])
     curvature = np.abs(graph.node_curvature)
-    assert curvature.max() < 1 / 40
+    assert curvature.max() < 1 / 38  # loops of 40 m radius, measured over a few metres
     assert curvature[~ramp[graph.node_lane]].max() < 1 / 180
     assert graph.step[a, column].min() > 0.9
     assert graph.step[a, column].max() < 1.1
