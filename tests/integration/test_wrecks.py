@@ -11,9 +11,11 @@ from phase_sumo.config import ActionConfig, SimConfig
 from tests.helpers.scenario_files import write_scenario
 
 VEHICLE = (
-    '<vehicle id="{}" type="car" depart="0" departLane="0" departPos="{}" departSpeed="{}" '
-    'insertionChecks="none"><route edges="main0 main1 main2"/></vehicle>'
+    '<vehicle id="{}" type="car" depart="0" departLane="{}" departPos="{}" departSpeed="{}" '
+    'departPosLat="{}" insertionChecks="none"><route edges="main0 main1 main2"/></vehicle>'
 )
+# Side by side and in each other; behind one who stands SUMO would drive
+ASTRIDE = (("a", 0, 60, 0, 1.2), ("b", 1, 62, 0, -1.2))
 
 
 class Unmoved:
@@ -36,7 +38,7 @@ def drive(folder, *vehicles, end):
 
 
 def test_one_vehicle_of_a_wreck_is_taken_out(tmp_path):
-    result, events = drive(tmp_path, ("a", 60, 0), ("b", 62, 0), ("c", 90, 0), end=30.0)
+    result, events = drive(tmp_path, *ASTRIDE, ("c", 2, 90, 0, 0), end=30.0)
     assert result["accounts"] == {"inserted": 3, "arrived": 0, "running": 2, "removed: crashed": 1}
     (collision,) = [e for e in events if e.kind == "collision"]
     (removal,) = [e for e in events if e.kind == "removal"]
@@ -46,11 +48,11 @@ def test_one_vehicle_of_a_wreck_is_taken_out(tmp_path):
 
 
 def test_vehicles_that_move_on_are_no_wreck(tmp_path):
-    result, events = drive(tmp_path, ("a", 30, 2), ("b", 32, 2), end=15.0)
+    result, events = drive(tmp_path, ("a", 0, 30, 2, 0), ("b", 0, 32, 2, 0), end=15.0)
     assert [e.kind for e in events if e.kind in ("collision", "removal")] == ["collision"]
     assert result["accounts"]["running"] == 2
 
 
 def test_a_wreck_is_not_cleared_while_it_can_still_come_apart(tmp_path):
-    result, _ = drive(tmp_path, ("a", 60, 0), ("b", 62, 0), end=0.95 * WRECK_SECONDS)
+    result, _ = drive(tmp_path, *ASTRIDE, end=0.95 * WRECK_SECONDS)
     assert result["accounts"]["running"] == 2
