@@ -45,10 +45,10 @@ def train(args: argparse.Namespace) -> Any:
 
     import torch
 
-    from phase_sumo.config import preset
     from phase_sumo.policy.checkpoint import load_policy
     from phase_sumo.train import distributed, tensorboard
     from phase_sumo.train.loop import Trainer
+    from phase_sumo.train.presets import preset
     from phase_sumo.train.run_folder import RunFolder
     from phase_sumo.train.settings import with_settings
 
@@ -89,8 +89,8 @@ def train(args: argparse.Namespace) -> Any:
 def tune(args: argparse.Namespace) -> Any:
     from dataclasses import replace
 
-    from phase_sumo.config import preset
     from phase_sumo.train import tune as study
+    from phase_sumo.train.presets import preset
 
     folder, config = Path(args.run), replace(preset(args.preset), seed=args.seed, total_steps=args.steps)
     table = Path(args.table)

@@ -9,8 +9,8 @@ def curriculum_progress(steps: float, total: float, start: float, end: float) ->
     Args:
         steps: agent steps so far.
         total: agent steps of the whole training.
-        start, end: shares of ``total``, start < end.
+        start, end: shares of ``total``, start < end; infinite for a rho that stays 0.
     """
-    if total <= 0:
+    if total <= 0 or steps < start * total:
         return 0.0
     return min(max((steps / total - start) / (end - start), 0.0), 1.0)

@@ -17,11 +17,11 @@ import pytest
 import torch
 
 from phase_sumo.cli import main
-from phase_sumo.config import preset
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.bundle import MapBundle, save_bundle
 from phase_sumo.train import disk
 from phase_sumo.train.loop import Trainer
+from phase_sumo.train.presets import preset
 from phase_sumo.train.run_folder import RunFolder
 from tests.helpers.curves import read_curve, read_tensorboard
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 
-from phase_sumo.config import ScenarioConfig, preset
+from phase_sumo.config import ScenarioConfig
 from phase_sumo.evaluate.synthetic import evaluate_synthetic
 from phase_sumo.train.loop import Trainer
+from phase_sumo.train.presets import preset
 from phase_sumo.train.run_folder import RunFolder
 
 SCENARIOS = ScenarioConfig(agent_scale=0.1)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import pytest
 import torch
 
-from phase_sumo.config import DirectActionConfig, LateFusionConfig, preset
+from phase_sumo.config import DirectActionConfig, LateFusionConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.policy.build import build_network
 from phase_sumo.policy.checkpoint import Policy, load_policy, save_policy
 from phase_sumo.policy.late_fusion import LateFusionNetwork
 from phase_sumo.policy.network import PolicyNetwork
 from phase_sumo.sim.observation import EGO, PARTNER, ROAD
+from phase_sumo.train.presets import preset
 from tests.helpers.observations import observation
 
 

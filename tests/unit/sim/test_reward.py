@@ -8,10 +8,11 @@ import math
 import pytest
 import torch
 
-from phase_sumo.config import RewardConfig, SimConfig, preset
+from phase_sumo.config import RewardConfig, SimConfig
 from phase_sumo.sim.curriculum import curriculum_progress
 from phase_sumo.sim.events import Events, Outcome
 from phase_sumo.sim.reward import Multipliers, alignment, goal_quality, progress, rewards
+from phase_sumo.train.presets import preset
 from tests.helpers.factories import column, task_to, vehicle_state
 
 SIM = SimConfig()

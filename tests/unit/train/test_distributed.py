@@ -15,7 +15,7 @@ import torch
 import torch.distributed as dist
 from torch.multiprocessing.spawn import spawn
 
-from phase_sumo.config import TrainConfig, preset
+from phase_sumo.config import TrainConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.policy.build import build_network
 from phase_sumo.sim.bundle import load_bundle, save_bundle
@@ -23,6 +23,7 @@ from phase_sumo.sim.environment import Environment
 from phase_sumo.train import distributed
 from phase_sumo.train.loop import Trainer
 from phase_sumo.train.ppo import ValueScale, filter_samples, learn, make_samples
+from phase_sumo.train.presets import preset
 from phase_sumo.train.rollout import Buffer, Rollout, collect
 from phase_sumo.train.run_folder import RunFolder
 

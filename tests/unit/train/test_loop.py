@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 
 import pytest
 import torch
 
-from phase_sumo.config import REGIMES, RewardConfig, TrainConfig, from_dict, preset, to_dict
+from phase_sumo.config import REGIMES, RewardConfig, TrainConfig, from_dict, to_dict
 from phase_sumo.errors import PhaseError
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.train import ppo
 from phase_sumo.train.loop import Trainer
+from phase_sumo.train.presets import preset
 from phase_sumo.train.run_folder import RunFolder
 from tests.helpers.curves import read_curve, read_tensorboard
 
@@ -159,7 +161,7 @@ def test_presets_differ_in_what_they_ablate():
     phase = preset("phase")
     assert preset("no-dclamp") == dataclasses.replace(phase, dclamp_alpha=1.0)
     assert preset("no-reweighting") == dataclasses.replace(phase, reweight=False)
-    assert preset("no-curriculum") == dataclasses.replace(phase, curriculum=(2.0, 3.0))
+    assert preset("no-curriculum") == dataclasses.replace(phase, curriculum=(math.inf, math.inf))
     assert preset("paper").reward == RewardConfig() and preset("paper").scenarios.regimes == REGIMES
     baseline, same_model = preset("gpudrive"), preset("gpudrive-same-model")
     assert same_model.network == phase.network and same_model.actions.axes == phase.actions.axes

@@ -8,7 +8,7 @@ import math
 import pytest
 import torch
 
-from phase_sumo.config import ActionConfig, DirectActionConfig, preset
+from phase_sumo.config import ActionConfig, DirectActionConfig
 from phase_sumo.policy.network import log_prior
 from phase_sumo.sim.observation import Observation
 from phase_sumo.train.ppo import (
@@ -20,6 +20,7 @@ from phase_sumo.train.ppo import (
     prior_kl,
     world_weights,
 )
+from phase_sumo.train.presets import preset
 from phase_sumo.train.rollout import Samples
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from phase_sumo.config import preset
 from phase_sumo.policy.build import build_network
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import Environment
+from phase_sumo.train.presets import preset
 from phase_sumo.train.rollout import ROWS, Buffer, collect, draw, whole_batches
 
 MEAN, STD = 0.5, 2.0

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from phase_sumo.cli.files import TUNE_TABLE
-from phase_sumo.config import preset
 from phase_sumo.errors import PhaseError
+from phase_sumo.train.presets import preset
 from phase_sumo.train.tune import changed, read_table, tune
 
 SMALL = dataclasses.replace(preset("smoke"), worlds=4, slots=6, total_steps=300)
