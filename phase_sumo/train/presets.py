@@ -36,7 +36,9 @@ def preset(name: str) -> TrainConfig:
         "gpudrive": baseline,
         # our network and our lattice under its uniform prior, all else the baseline's
         "gpudrive-same-model": dataclasses.replace(
-            baseline, network=NetworkConfig(), actions=ActionConfig(prior_jerk=math.inf, prior_steering_rate=math.inf)
+            baseline,
+            network=NetworkConfig(),
+            actions=ActionConfig(prior_jerk=math.inf, prior_steering_rate=math.inf),
         ),
         "smoke": dataclasses.replace(
             phase, worlds=16, slots=16, total_steps=40_000, minibatch=1024, compiled=False
