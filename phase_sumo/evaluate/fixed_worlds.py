@@ -10,13 +10,13 @@ from torch import Tensor
 
 from phase_sumo.config import Actions, DirectActionConfig, SimConfig
 from phase_sumo.policy.checkpoint import Policy
-from phase_sumo.policy.network import log_prior
+from phase_sumo.policy.network import choose, log_prior
 from phase_sumo.sim import kinematics
-from phase_sumo.sim.events import Outcome, detect
+from phase_sumo.sim.events import Outcome
 from phase_sumo.sim.observation import Observation
 from phase_sumo.sim.road_map import RoadMap
+from phase_sumo.sim.step import look, step
 from phase_sumo.sim.vehicles import Task, TensorBatch, VehicleShape, VehicleState
-from phase_sumo.sim.worlds import look
 
 MOST_WORLDS = 1_000_003  # beyond which random numbers of one seed would be those of another
 
@@ -94,12 +94,13 @@ def drive(
     outcome = Outcome(*(nobody for _ in range(4)))
     trailers, uniform = trailer_slots(shape), _uniform(start, sim.horizon, seed)
     for t in range(sim.horizon):
-        seen = look(shape, state, task, active, road_map, start.map_index, None, sim).rows(active)
+        index = active.flatten().nonzero().squeeze(-1)
+        seen = look(shape, state, task, active, road_map, start.map_index, None, sim, index)
         action = torch.zeros(active.shape, dtype=torch.long)
         action[active] = choose(driver(seen), uniform[:, t][active] if sampled else None)
         jerk, rate = kinematics.command(action, state, task.alpha, actions, sim.dt)
-        after = kinematics.advance(shape, state, jerk, rate, sim).where(active, state)
-        events = detect(shape, state, after, task, active, road_map, start.map_index, sim, trailers)
+        where = road_map, start.map_index, sim, trailers
+        after, events = step(shape, state, task, active, active, jerk, rate, *where)
         outcome = outcome.after(events)
         out_of_time = t + 1 == sim.horizon
         finished = active & (events.goal | events.unrecoverable | out_of_time)
@@ -113,14 +114,6 @@ def trailer_slots(shape: VehicleShape) -> int:
     """How many slots, the first ones of every world, hold all the trailers."""
     towing = shape.articulated.any(0).nonzero()
     return int(towing.max()) + 1 if len(towing) else 0
-
-
-def choose(logits: Tensor, uniform: Tensor | None) -> Tensor:
-    """Tokens [A]: where the cumulated probability passes ``uniform`` [A], or the most probable ones."""
-    if uniform is None:
-        return logits.argmax(-1)
-    passed = (logits.softmax(-1).cumsum(-1) < uniform.unsqueeze(-1)).sum(-1)
-    return passed.clamp_max(logits.shape[-1] - 1)
 
 
 def _uniform(start: Start, steps: int, seed: int) -> Tensor:

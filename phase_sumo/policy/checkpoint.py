@@ -16,7 +16,7 @@ from torch import Tensor
 from phase_sumo.config import Actions, Network, SimConfig, from_dict, restore, to_dict
 from phase_sumo.errors import PhaseError
 from phase_sumo.policy.build import build_network
-from phase_sumo.policy.network import ActorCritic
+from phase_sumo.policy.network import ActorCritic, choose
 from phase_sumo.sim.observation import LAYOUT, Observation
 
 FORMAT = "phase_sumo policy 1"
@@ -47,9 +47,9 @@ class Policy:
             generator: samples from the policy with it; None takes the most probable action.
         """
         logits = self.network.logits(observation)
-        if generator is None or len(logits) == 0:
-            return logits.argmax(-1)
-        return torch.multinomial(logits.softmax(-1), 1, generator=generator).squeeze(-1)
+        if generator is None:
+            return choose(logits)
+        return choose(logits, torch.rand(len(logits), generator=generator, device=logits.device))
 
 
 def save_policy(path: str | Path, policy: Policy) -> None:

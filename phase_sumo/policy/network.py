@@ -87,6 +87,19 @@ def head(width: int, hidden: int, out: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(width, hidden), nn.ReLU(inplace=True), nn.Linear(hidden, out))
 
 
+def choose(logits: Tensor, uniform: Tensor | None = None) -> Tensor:
+    """One token per row of logits [A, actions]: the most probable one, or a draw.
+
+    Args:
+        uniform: [A] in [0, 1); the token is the first whose cumulated probability exceeds it.
+    """
+    if uniform is None:
+        return logits.argmax(-1)
+    reached = logits.softmax(-1).cumsum(-1)
+    passed = reached <= (uniform * reached[:, -1]).unsqueeze(-1)
+    return passed.sum(-1).clamp_max(logits.shape[-1] - 1)
+
+
 def log_prior(actions: Actions) -> Tensor:
     """log p(a) of the discrete Gaussian prior, p ~ exp(-j^2 / 2 sigma_j^2 - r^2 / 2 sigma_r^2), [A]."""
     along, across = (

@@ -19,8 +19,9 @@ from phase_sumo.sim.pairs import PairTable
 from phase_sumo.sim.road_map import POINTS_PER_CELL, merge
 from phase_sumo.sim.scenario import Scenario, script_slots
 from phase_sumo.sim.scripted import move_scripted
+from phase_sumo.sim.step import look
 from phase_sumo.sim.tuples import map_regime_tuples
-from phase_sumo.sim.worlds import Beyond, Transition, Worlds, advance, look, look_at
+from phase_sumo.sim.worlds import Beyond, Transition, Worlds, advance
 
 # Steps between refills of the scenarios that finished worlds take over. The rare world that is over twice in
 # between drives the same one again.
@@ -96,9 +97,8 @@ class Environment:
         seen = ((len(turn), slots, 4, sim.neighbours), (len(turn), slots, 2, POINTS_PER_CELL))
         self._noise = NoiseTable(seen, self._places, device) if training else None
         self._advance = torch.compile(advance, **COMPILATION) if compiled else advance
-        self._look = torch.compile(look, **COMPILATION) if compiled else look
         some = {**COMPILATION, "dynamic": None}  # the number of agents is marked as one that changes
-        self._look_at = torch.compile(look_at, **some) if compiled else look_at
+        self._look = torch.compile(look, **some) if compiled else look
         self.reset()
 
     def reset(self) -> None:
@@ -176,20 +176,20 @@ class Environment:
     def observation(self) -> Observation:
         """What every agent sees now, [W, N, ...]."""
         if self._observation is None:
-            self._observation = self._look(*self._seen())
+            active = self.worlds.active
+            seen = self.seen_by(torch.arange(active.numel(), device=active.device))
+            self._observation = seen.map(lambda values: values.unflatten(0, active.shape))
         return self._observation
 
     @torch.no_grad()
     def seen_by(self, index: Tensor) -> Observation:
         """What the agents in the slots ``index`` [A] of all W N see now, [A, ...]; A is 2 or more."""
-        if self._look_at is not look_at:
+        if self._look is not look:
             torch._dynamo.mark_dynamic(index, 0)
-        return self._look_at(index, *self._seen())
-
-    def _seen(self) -> tuple[Any, ...]:
-        """What there is to see, and how."""
-        w = self.worlds
-        return w.shape, w.state, w.task, w.active, self.road_map, self.map_index, self._perturbation, self.sim
+        w, noise = self.worlds, self._perturbation
+        return self._look(
+            w.shape, w.state, w.task, w.active, self.road_map, self.map_index, noise, self.sim, index
+        )
 
     def _perturb(self) -> None:
         """New noise for what is seen from now on."""

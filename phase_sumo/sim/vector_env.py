@@ -37,13 +37,12 @@ from torch import Tensor
 
 from phase_sumo.config import ActionConfig, Actions, RewardConfig, ScenarioConfig, SimConfig
 from phase_sumo.errors import PhaseError
-from phase_sumo.sim import kinematics
 from phase_sumo.sim.bundle import MapBundle, load_bundle
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.observation import CONTEXT, EGO, PARTNER, ROAD, Observation
 from phase_sumo.sim.road_map import POINTS_PER_CELL
-from phase_sumo.sim.vehicles import TensorBatch
-from phase_sumo.sim.worlds import Transition, Worlds, look
+from phase_sumo.sim.step import look
+from phase_sumo.sim.worlds import Transition, Worlds
 
 NAME = "phase_sumo/Highway-v0"
 SLOTS = 16  # agents per world unless said otherwise
@@ -162,7 +161,7 @@ class HighwayVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
             for name, happened in vars(step.outcome).items():
                 _add(outcome, name, _array(happened & step.finished), finished.copy())
             _add(info, "final_info", outcome, finished.copy())
-            _add(info, "final_obs", self._last_seen(before, action, step), finished)
+            _add(info, "final_obs", self._last_seen(before, step), finished)
         reward = _array(step.reward).astype(np.float64)
         return self._seen(), reward, _array(step.terminated), _array(step.truncated), info
 
@@ -192,26 +191,17 @@ class HighwayVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
             [arrays[k].reshape(len(arrays[k]), -1) for k in self._order], 1, dtype=np.float32
         )
 
-    def _last_seen(self, before: Worlds, action: Tensor, step: Transition) -> np.ndarray:
-        """[E] objects: what each agent that finished saw at its end, without noise; None for the others.
-
-        The step has put new scenarios where worlds are over, so the last move is made once more there.
-        """
+    def _last_seen(self, before: Worlds, step: Transition) -> np.ndarray:
+        """[E] objects: what each agent that finished saw at its end, without noise; None for the others."""
         env = self.environment
         ending = step.finished.any(-1).nonzero().squeeze(-1)
 
         def pick(values: Tensor) -> Tensor:
             return values[ending]
 
-        parts = vars(before).items()
-        last = replace(
-            before, **{k: v.map(pick) if isinstance(v, TensorBatch) else pick(v) for k, v in parts}
-        )
-        jerk, rate = kinematics.command(pick(action), last.state, last.task.alpha, env.actions, env.sim.dt)
-        last.state = kinematics.advance(last.shape, last.state, jerk, rate, env.sim)
-        road, where = env.road_map, pick(env.map_index)
-        seen = look(last.shape, last.state, last.task, last.active, road, where, None, env.sim)
-        seen = seen.rows(pick(step.finished))
+        shape, state, task = before.shape.map(pick), step.after.map(pick), before.task.map(pick)
+        road, where, active = env.road_map, pick(env.map_index), pick(before.active)
+        seen = look(shape, state, task, active, road, where, None, env.sim).rows(pick(step.finished))
         rows = self._shaped(_arrays(seen))
         result = np.full(self.num_envs, None, dtype=object)
         for k, row in enumerate(np.flatnonzero(_array(step.finished))):

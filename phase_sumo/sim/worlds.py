@@ -1,4 +1,4 @@
-"""One step of batched worlds as pure functions of tensors: what happens, and what everybody then sees."""
+"""Batched worlds through time, as pure functions of tensors: steps, rewards, ends, new scenarios."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from torch import Tensor
 
 from phase_sumo.config import Actions, RewardConfig, SimConfig
 from phase_sumo.sim import kinematics
-from phase_sumo.sim.events import Outcome, detect
-from phase_sumo.sim.geometry import materialise
-from phase_sumo.sim.neighbours import gather, nearest
-from phase_sumo.sim.observation import Appearance, Observation, appearance, observe
+from phase_sumo.sim.events import Outcome
 from phase_sumo.sim.pairs import PairTable
 from phase_sumo.sim.reward import Multipliers, rewards
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.scenario import Scenario, of_trucks
 from phase_sumo.sim.scripted import Moved, Script
+from phase_sumo.sim.step import step
 from phase_sumo.sim.vehicles import Task, VehicleShape, VehicleState
 
 
@@ -100,6 +98,7 @@ class Transition:
         truncated: ran out of time.
         finished: terminated or truncated, with ``outcome`` final.
         over: [W] bool, worlds that began a new scenario after the step.
+        after: states before those new scenarios.
         terms: mean of every reward term over the active agents, a scalar tensor each.
     """
 
@@ -110,6 +109,7 @@ class Transition:
     finished: Tensor
     outcome: Outcome
     over: Tensor
+    after: VehicleState
     terms: dict[str, Tensor]
 
 
@@ -139,13 +139,14 @@ def advance(
     """
     before, agents, shape, task = worlds.state, worlds.controlled, worlds.shape, worlds.task
     jerk, rate = commands or kinematics.command(action, before, task.alpha, actions, sim.dt)
-    after = kinematics.advance(shape, before, jerk, rate, sim).where(agents, before)
-    script, there = worlds.script, worlds.active
+    script, there, by_script = worlds.script, worlds.active, None
     if beyond is not None:
         moved = beyond.scripted
-        after = moved.state.where(there & script.scripted, after)
+        by_script = there & script.scripted, moved.state
         script, there = replace(script, node=moved.node, beyond=moved.beyond), there & ~moved.gone
-    events = detect(shape, before, after, task, there, road_map, map_index, sim, trailers)
+    after, events = step(
+        shape, before, task, agents, there, jerk, rate, road_map, map_index, sim, trailers, by_script
+    )
     terms = rewards(
         before, after, task, events, worlds.outcome, Multipliers.at(rho, reward_config), reward_config, sim
     )
@@ -171,6 +172,7 @@ def advance(
         finished=finished,
         outcome=outcome,
         over=over,
+        after=after,
         terms={name: (term * agents).sum() / count for name, term in terms.items()},
     )
     following = Worlds(
@@ -201,62 +203,3 @@ def _next_goals(worlds: Worlds, reached: Tensor, beyond: Beyond) -> tuple[Tensor
     speed = torch.minimum(worlds.desired_speed, of_trucks(truck) * pairs.goal_speed[pair])
     onward = Task(x, y, yaw, speed, worlds.task.alpha)
     return following, onward.where(goes_on, worlds.task), goes_on
-
-
-def look(
-    shape: VehicleShape,
-    state: VehicleState,
-    task: Task,
-    active: Tensor,
-    road_map: RoadMap,
-    map_index: Tensor,
-    noise: tuple[Tensor, Tensor] | None,
-    sim: SimConfig,
-) -> Observation:
-    """What every agent sees [W, N, ...]; rows of inactive slots mean nothing."""
-    index, mask = nearest(state.x, state.y, active, sim)
-    table = materialise(*vars(appearance(shape, state)).values())
-    others = Appearance(*(gather(values, index) for values in table))
-    cell = road_map.cell(map_index, state.x, state.y)
-    cell, view = materialise(cell, road_map.cell_view[cell])
-    lane_yaw = road_map.cell_yaw[cell]
-    return observe(shape, state, task, others, mask, road_map, view, lane_yaw, sim, noise)
-
-
-def look_at(
-    index: Tensor,
-    shape: VehicleShape,
-    state: VehicleState,
-    task: Task,
-    active: Tensor,
-    road_map: RoadMap,
-    map_index: Tensor,
-    noise: tuple[Tensor, Tensor] | None,
-    sim: SimConfig,
-) -> Observation:
-    """What the agents in the slots ``index`` [A] see, [A, ...]: rows of `look` for less than its price."""
-
-    def rows(values: Tensor) -> Tensor:
-        return values.flatten(0, 1)[index]
-
-    near, mask = nearest(state.x, state.y, active, sim)
-    (near,) = materialise(near)
-    first = index - index % active.shape[1]  # slot of each agent's world
-    table = materialise(*(values.flatten() for values in vars(appearance(shape, state)).values()))
-    others = Appearance(*(values[rows(near) + first.unsqueeze(-1)] for values in table))
-    cell = road_map.cell(map_index, state.x, state.y)
-    cell, view = materialise(cell, road_map.cell_view[cell])
-    noise = None if noise is None else (rows(noise[0]), rows(noise[1]))
-    lane_yaw = road_map.cell_yaw[rows(cell)]
-    return observe(
-        shape.map(rows),
-        state.map(rows),
-        task.map(rows),
-        others,
-        rows(mask),
-        road_map,
-        rows(view),
-        lane_yaw,
-        sim,
-        noise,
-    )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from phase_sumo.policy.network import ActorCritic
+from phase_sumo.policy.network import ActorCritic, choose
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.observation import Observation
 from phase_sumo.sim.worlds import Transition
@@ -174,7 +174,8 @@ def collect(
         index, count = whole_batches(active)
         logits, value = evaluate(network, buffer.put(env.seen_by(index), at), bf16)
         log_prob = logits[:count].log_softmax(-1)
-        token, index = draw(log_prob, generator), index[:count]
+        uniform = torch.rand(count, generator=generator, device=log_prob.device)
+        token, index = choose(log_prob, uniform), index[:count]
         rows = slice(at, at + count)
         buffer.action[rows] = token
         buffer.log_prob[rows] = log_prob.gather(-1, token.unsqueeze(-1)).squeeze(-1)
@@ -205,13 +206,6 @@ def evaluate(network: ActorCritic, observation: Observation, bf16: bool) -> tupl
     """The network with its matrix products in bf16 or not; outputs are fp32."""
     with torch.autocast(observation.ego.device.type, torch.bfloat16, enabled=bf16):
         return network(observation)
-
-
-def draw(log_prob: Tensor, generator: torch.Generator) -> Tensor:
-    """One token per row of log_prob [A, actions]: where the distribution function passes a random number."""
-    reached = log_prob.exp().cumsum(-1)
-    uniform = torch.rand(len(log_prob), 1, generator=generator, device=log_prob.device) * reached[:, -1:]
-    return (reached <= uniform).sum(-1).clamp_max(log_prob.shape[-1] - 1)
 
 
 def scatter(rows: Tensor, index: Tensor, active: Tensor) -> Tensor:

@@ -15,7 +15,8 @@ import torch
 from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.config import RewardConfig, SimConfig
 from phase_sumo.sim.road_map import RoadMap
-from phase_sumo.sim.worlds import Worlds, look
+from phase_sumo.sim.step import look
+from phase_sumo.sim.worlds import Worlds
 from tests.helpers.factories import car_shape, task_to, truck_shape, vehicle_state
 from tests.helpers.rollouts import drive, place, token
 from tests.helpers.straight_road import straight_network

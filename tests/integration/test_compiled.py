@@ -10,8 +10,9 @@ import torch
 from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.config import REGIMES, ActionConfig, RewardConfig, ScenarioConfig, SimConfig
 from phase_sumo.sim.environment import COMPILATION, Environment, tensors
+from phase_sumo.sim.step import look
 from phase_sumo.sim.synthetic_road import freeway
-from phase_sumo.sim.worlds import advance, look
+from phase_sumo.sim.worlds import advance
 
 STEPS = 60
 

@@ -17,8 +17,9 @@ from phase_sumo.config import RewardConfig, SimConfig
 from phase_sumo.sim.events import agent_contacts
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.road_map import RoadMap, merge
+from phase_sumo.sim.step import look
 from phase_sumo.sim.vehicles import Task, VehicleState, boxes
-from phase_sumo.sim.worlds import Transition, Worlds, look
+from phase_sumo.sim.worlds import Transition, Worlds
 from tests.helpers.factories import car_shape, task_to, truck_shape, vehicle_state
 from tests.helpers.rollouts import ACTIONS, drive, pick, place, token
 from tests.helpers.straight_road import straight_network

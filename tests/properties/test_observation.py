@@ -12,7 +12,7 @@ from phase_sumo.config import SimConfig
 from phase_sumo.sim.neighbours import nearest
 from phase_sumo.sim.observation import EGO, PARTNER, ROAD
 from phase_sumo.sim.road_map import RoadMap
-from phase_sumo.sim.worlds import look as look_at
+from phase_sumo.sim.step import look as look_at
 from tests.helpers.factories import car_shape, task_to, truck_shape, vehicle_state
 
 SIM = SimConfig()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from phase_sumo.config import ActionConfig, SimConfig
-from phase_sumo.evaluate.fixed_worlds import Start, choose, drive, idle_driver, prior_driver
+from phase_sumo.evaluate.fixed_worlds import Start, drive, idle_driver, prior_driver
 from phase_sumo.sim.bundle import MapBundle
 from tests.helpers.factories import car_shape, task_to, vehicle_state
 
@@ -47,11 +47,3 @@ def test_worlds_draw_alike_in_any_company(straight_map):
     assert torch.equal(together, torch.cat(alone, 1))
     assert not torch.equal(together[:, 0], together[:, 1])
     assert not torch.equal(together, ways(begin, straight_map, driver, seed=1))
-
-
-def test_choices_follow_their_probabilities():
-    logits = torch.tensor([0.1, 0.6, 0.3]).log().expand(10_000, -1)
-    token = choose(logits, torch.linspace(0.0, 1.0, 10_000))
-    share = torch.bincount(token, minlength=3) / 10_000
-    assert torch.allclose(share, torch.tensor([0.1, 0.6, 0.3]), atol=1e-3)
-    assert choose(logits, None).unique().tolist() == [1]

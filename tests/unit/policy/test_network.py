@@ -10,7 +10,7 @@ from safetensors.torch import load_file, save_file
 from phase_sumo.config import ActionConfig, NetworkConfig, SimConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.policy.checkpoint import Policy, load_policy, save_policy
-from phase_sumo.policy.network import PolicyNetwork, log_prior
+from phase_sumo.policy.network import PolicyNetwork, choose, log_prior
 from tests.helpers.observations import observation
 
 
@@ -111,3 +111,13 @@ def test_bad_files_are_refused(tmp_path):
     (tmp_path / "text.safetensors").write_text("hello")
     with pytest.raises(PhaseError, match="not a safetensors file"):
         load_policy(tmp_path / "text.safetensors")
+
+
+def test_actions_are_drawn_as_often_as_they_are_likely():
+    chance = torch.tensor([0.0, 0.1, 0.0, 0.6, 0.3, 0.0])
+    logits = chance.log().expand(10_000, -1)
+    tokens = choose(logits, torch.arange(10_000) / 10_000)
+    share = torch.bincount(tokens, minlength=6) / len(tokens)
+    torch.testing.assert_close(share, chance, atol=1e-3, rtol=0.0)
+    assert not share[chance == 0.0].any()
+    assert choose(logits).unique().tolist() == [3]
