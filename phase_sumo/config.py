@@ -232,12 +232,19 @@ Network = NetworkConfig | LateFusionConfig
 
 
 @dataclass(frozen=True)
-class TrainConfig:
-    """Self-play training (paper: Training); values the paper leaves open follow PPO practice."""
+class TaskConfig:
+    """What agents have to do: the world's rules, its scenarios, what is rewarded, and how agents act."""
 
     sim: SimConfig = SimConfig()
     actions: Actions = ActionConfig()
     reward: RewardConfig = RewardConfig()
+    scenarios: ScenarioConfig = ScenarioConfig()
+
+
+@dataclass(frozen=True)
+class TrainConfig(TaskConfig):
+    """Self-play training (paper: Training); values the paper leaves open follow PPO practice."""
+
     scenarios: ScenarioConfig = ScenarioConfig(agent_scale=0.5)
     network: Network = NetworkConfig()
     worlds: int = 77  # one for every (map, regime) tuple

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from phase_sumo.config import RewardConfig, ScenarioConfig
+from phase_sumo.config import ScenarioConfig, TaskConfig
 from phase_sumo.policy.checkpoint import Policy
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import Environment
@@ -46,10 +46,7 @@ def evaluate_synthetic(
             maps,
             worlds,
             slots,
-            policy.sim,
-            scenarios,
-            RewardConfig(),
-            policy.actions,
+            TaskConfig(sim=policy.sim, actions=policy.actions, scenarios=scenarios),
             seed=seed + episode,
             training=False,
             rho=1.0,
@@ -93,7 +90,7 @@ def _groups(env: Environment) -> dict[str, Tensor]:
         "by_type:articulated_truck": articulated,
         "by_kind:rolling": everybody(worlds.rolling),
     }
-    for index, regime in enumerate(env.scenarios.regimes):
+    for index, regime in enumerate(env.task.scenarios.regimes):
         groups[f"by_regime:{regime.name}"] = everybody(env.regime_index == index)
     for index, kind in enumerate(KINDS):
         groups[f"by_kind:{kind}"] = everybody((worlds.kind == index) & ~worlds.rolling)

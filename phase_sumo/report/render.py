@@ -75,7 +75,7 @@ class Frame:
             collision=pick(outcome.collision),
             at_fault=pick(outcome.at_fault),
             road_edge=pick(outcome.road_edge),
-            time=float(worlds.clock[world]) * environment.sim.dt,
+            time=float(worlds.clock[world]) * environment.task.sim.dt,
         )
 
     @property
@@ -161,11 +161,11 @@ def film(
         steps: no more steps than this; up to the scenario's end by default.
     """
     frames = [Frame.of(environment, world)]
-    for _ in range(environment.sim.horizon if steps is None else steps):
+    for _ in range(environment.task.sim.horizon if steps is None else steps):
         if environment.step(act(environment.observation)).over[world]:
             break
         frames.append(Frame.of(environment, world))
-    animate(frames, bundle, path, environment.sim.dt)
+    animate(frames, bundle, path, environment.task.sim.dt)
 
 
 def animate(frames: Sequence[Frame], bundle: MapBundle, path: str | Path, period: float) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from phase_sumo.config import ActionConfig, Actions, GuardConfig, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.config import ActionConfig, GuardConfig, TaskConfig
 from phase_sumo.sim import guard as guarding
 from phase_sumo.sim import scenario
 from phase_sumo.sim.bundle import MapBundle
@@ -65,10 +65,7 @@ class Environment:
         maps: list[MapBundle],
         worlds: int,
         slots: int,
-        sim: SimConfig,
-        scenarios: ScenarioConfig,
-        reward: RewardConfig,
-        actions: Actions,
+        task: TaskConfig,
         seed: int = 0,
         device: torch.device | str = "cpu",
         training: bool = True,
@@ -77,7 +74,7 @@ class Environment:
         rho: float = 0.0,
         guard: GuardConfig | None = None,
     ) -> None:
-        self.sim, self.scenarios, self.reward_config, self.actions = sim, scenarios, reward, actions
+        self.task, sim, scenarios = task, task.sim, task.scenarios
         self.slots, self.rho, self.guard = slots, rho, guard
         self.trailers = truck_slots(slots, scenarios)
         self.generator = torch.Generator(device=device).manual_seed(seed)
@@ -105,7 +102,7 @@ class Environment:
         """Sample every world anew."""
         fresh = self._sample(self.tuple_index)
         worlds, device = len(self.tuple_index), self.tuple_index.device
-        latest = self.sim.horizon if self._noise else 1
+        latest = self.task.sim.horizon if self._noise else 1
         clock = torch.randint(latest, (worlds,), generator=self.generator, device=device)
         self.worlds = Worlds.begin(fresh, clock)
         self._spare = self._sample(self.tuple_index)
@@ -124,7 +121,13 @@ class Environment:
         commands = None
         if self.guard is not None:
             self.decision = guarding.of_worlds(
-                action, self.worlds, self.road_map, self.map_index, self.actions, self.sim, self.guard
+                action,
+                self.worlds,
+                self.road_map,
+                self.map_index,
+                self.task.actions,
+                self.task.sim,
+                self.guard,
             )
             action, commands = self.decision.token, (self.decision.jerk, self.decision.rate)
         rho = torch.tensor(self.rho, device=self.tuple_index.device)
@@ -135,9 +138,7 @@ class Environment:
             rho,
             self.road_map,
             self.map_index,
-            self.sim,
-            self.reward_config,
-            self.actions,
+            self.task,
             self.trailers,
             self._beyond(),
             commands,
@@ -150,7 +151,7 @@ class Environment:
         return transition
 
     def _beyond(self) -> Beyond | None:
-        settings, worlds = self.scenarios, self.worlds
+        settings, worlds = self.task.scenarios, self.worlds
         alone = settings.script.standing_worlds == settings.script.scripted_worlds == 0.0
         if alone and settings.rolling_worlds == 0.0:
             return None
@@ -163,10 +164,10 @@ class Environment:
             worlds.script,
             self.pairs,
             worlds.active,
-            worlds.clock * self.sim.dt,
+            worlds.clock * self.task.sim.dt,
             (first, first if alone else first + most),
             settings.script,
-            self.sim,
+            self.task.sim,
         )
         uniform = torch.rand(size, generator=self.generator, device=device)
         return Beyond(self.pairs, uniform, settings.rolling_horizon, moved)
@@ -188,7 +189,7 @@ class Environment:
             torch._dynamo.mark_dynamic(index, 0)
         w, noise = self.worlds, self._perturbation
         return self._look(
-            w.shape, w.state, w.task, w.active, self.road_map, self.map_index, noise, self.sim, index
+            w.shape, w.state, w.task, w.active, self.road_map, self.map_index, noise, self.task.sim, index
         )
 
     def _perturb(self) -> None:
@@ -216,8 +217,8 @@ class Environment:
             tuple_index,
             self.slots,
             self.rho >= 1.0,
-            self.scenarios,
-            self.sim,
+            self.task.scenarios,
+            self.task.sim,
             BRAKING_JERK,
             self.generator,
         )

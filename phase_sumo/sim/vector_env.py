@@ -21,7 +21,6 @@ all agents of a world (self-play). The agents of a world begin together, when al
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,7 +34,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from phase_sumo.config import ActionConfig, Actions, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.config import ScenarioConfig, SimConfig, TaskConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.bundle import MapBundle, load_bundle
 from phase_sumo.sim.environment import Environment
@@ -67,7 +66,8 @@ class HighwayVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         maps: bundles or ``.npz`` bundle files, from `phase-sumo convert`; at least one.
         rho: curriculum progress in [0, 1]; the attribute may be set at any time.
         training: perturb what is seen of others and road, and start the clocks of the worlds apart.
-        scenarios: the paper's, with the agent counts scaled to ``slots``, by default.
+        task: rules, actions, reward and scenarios; the paper's, with the agent counts scaled to ``slots``,
+            by default.
 
     Attributes:
         environment: the worlds themselves, in torch; new after every seeded reset.
@@ -83,10 +83,7 @@ class HighwayVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         flat: bool = False,
         rho: float = 0.0,
         training: bool = False,
-        scenarios: ScenarioConfig | None = None,
-        sim: SimConfig | None = None,
-        reward: RewardConfig | None = None,
-        actions: Actions | None = None,
+        task: TaskConfig | None = None,
         device: torch.device | str = "cpu",
         compiled: bool = False,
     ) -> None:
@@ -97,26 +94,23 @@ class HighwayVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
             )
         if not maps:
             raise PhaseError("no maps: pass maps=[...] with bundles or .npz files from `phase-sumo convert`")
-        sim, actions = sim or SimConfig(), actions or ActionConfig()
+        task = task or TaskConfig(scenarios=ScenarioConfig(agent_scale=slots / CROWD))
         self.num_envs, self.rho = num_envs, rho
         self._size = (num_envs // slots, slots)
         self._build = partial(
             Environment,
             [_bundle(source) for source in maps],
             *self._size,
-            sim,
-            scenarios or replace(ScenarioConfig(), agent_scale=slots / CROWD),
-            reward or RewardConfig(),
-            actions,
+            task,
             device=device,
             training=training,
             compiled=compiled,
         )
         self._environment: Environment | None = None
-        space = _observation_space(sim)
+        space = _observation_space(task.sim)
         self._order = list(space.spaces) if flat else None
         self.single_observation_space = spaces.flatten_space(space) if flat else space
-        self.single_action_space = spaces.Discrete(actions.count)
+        self.single_action_space = spaces.Discrete(task.actions.count)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
@@ -201,7 +195,7 @@ class HighwayVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
 
         shape, state, task = before.shape.map(pick), step.after.map(pick), before.task.map(pick)
         road, where, active = env.road_map, pick(env.map_index), pick(before.active)
-        seen = look(shape, state, task, active, road, where, None, env.sim).rows(pick(step.finished))
+        seen = look(shape, state, task, active, road, where, None, env.task.sim).rows(pick(step.finished))
         rows = self._shaped(_arrays(seen))
         result = np.full(self.num_envs, None, dtype=object)
         for k, row in enumerate(np.flatnonzero(_array(step.finished))):

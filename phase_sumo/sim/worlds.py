@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from phase_sumo.config import Actions, RewardConfig, SimConfig
+from phase_sumo.config import TaskConfig
 from phase_sumo.sim import kinematics
 from phase_sumo.sim.events import Outcome
 from phase_sumo.sim.pairs import PairTable
@@ -120,9 +120,7 @@ def advance(
     rho: Tensor,
     road_map: RoadMap,
     map_index: Tensor,
-    sim: SimConfig,
-    reward_config: RewardConfig,
-    actions: Actions,
+    config: TaskConfig,
     trailers: int,
     beyond: Beyond | None = None,
     commands: tuple[Tensor, Tensor] | None = None,
@@ -137,8 +135,9 @@ def advance(
         beyond: for worlds with rolling goals or scripted vehicles.
         commands: jerk and steering rate [W, N] instead of those of ``action``.
     """
-    before, agents, shape, task = worlds.state, worlds.controlled, worlds.shape, worlds.task
-    jerk, rate = commands or kinematics.command(action, before, task.alpha, actions, sim.dt)
+    sim, before, agents = config.sim, worlds.state, worlds.controlled
+    shape, task = worlds.shape, worlds.task
+    jerk, rate = commands or kinematics.command(action, before, task.alpha, config.actions, sim.dt)
     script, there, by_script = worlds.script, worlds.active, None
     if beyond is not None:
         moved = beyond.scripted
@@ -148,7 +147,7 @@ def advance(
         shape, before, task, agents, there, jerk, rate, road_map, map_index, sim, trailers, by_script
     )
     terms = rewards(
-        before, after, task, events, worlds.outcome, Multipliers.at(rho, reward_config), reward_config, sim
+        before, after, task, events, worlds.outcome, Multipliers.at(rho, config.reward), config.reward, sim
     )
 
     clock = worlds.clock + 1

@@ -61,14 +61,12 @@ def bench_sim(
     policy = load_policy()
     config = TrainConfig()
     full = replace(REGIMES[0], agents=(slots, slots), agents_late=(slots, slots))
+    scenarios = ScenarioConfig(regimes=(full,), rolling_worlds=1.0)
     env = Environment(
         [replace(m, pools=m.pools[:1]) for m in _roomy(maps, slots)],
         worlds,
         slots,
-        policy.sim,
-        ScenarioConfig(regimes=(full,), rolling_worlds=1.0),
-        config.reward,
-        policy.actions,
+        replace(config, sim=policy.sim, actions=policy.actions, scenarios=scenarios),
         seed=seed,
         compiled=True,
     )
@@ -132,7 +130,7 @@ def _step_bytes(env: Environment) -> float:
     written = sum(t.numel() * t.element_size() for t in tensors(env.observation))
     state = 2 * sum(t.numel() * t.element_size() for t in tensors(env.worlds))
     road = 4.0 * (env.road_map.view[0].numel() + 2 * env.road_map.border[0].numel())
-    noise = 4.0 * (4 * env.sim.neighbours + 2 * env.road_map.view.shape[2])
+    noise = 4.0 * (4 * env.task.sim.neighbours + 2 * env.road_map.view.shape[2])
     return (written + state) / agents + road + noise
 
 

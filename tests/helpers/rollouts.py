@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from phase_sumo.config import ActionConfig, RewardConfig, SimConfig
+from phase_sumo.config import ActionConfig, RewardConfig, SimConfig, TaskConfig
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.scenario import Scenario
 from phase_sumo.sim.scripted import Script
@@ -65,9 +65,7 @@ def drive(
             torch.tensor(rho),
             road_map,
             map_index,
-            sim or SimConfig(),
-            reward or RewardConfig(),
-            ACTIONS,
+            TaskConfig(sim or SimConfig(), ACTIONS, reward or RewardConfig()),
             slots if trailers is None else trailers,
         )
         course.append((worlds, transition))

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from phase_sumo.bridge.maps.convert import build_bundle
-from phase_sumo.config import REGIMES, ActionConfig, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.config import REGIMES, ScenarioConfig, TaskConfig
 from phase_sumo.sim.environment import COMPILATION, Environment, tensors
 from phase_sumo.sim.step import look
 from phase_sumo.sim.synthetic_road import freeway
@@ -24,10 +24,10 @@ def test_compiled_and_eager_steps_agree():
     Fused arithmetic may round otherwise in the last bit, so events within a hair's breadth may differ.
     """
     regime = replace(REGIMES[0], agents=(48, 48), agents_late=(48, 48))
-    scenarios = ScenarioConfig(regimes=(regime,), agent_scale=1.0)
-    sim, reward, actions = SimConfig(), RewardConfig(), ActionConfig()
+    task = TaskConfig(scenarios=ScenarioConfig(regimes=(regime,), agent_scale=1.0))
+    sim, actions = task.sim, task.actions
     bundle = build_bundle(freeway(3.0))
-    env = Environment([replace(bundle, pools=bundle.pools[:1])], 4, 48, sim, scenarios, reward, actions)
+    env = Environment([replace(bundle, pools=bundle.pools[:1])], 4, 48, task)
     step, see = torch.compile(advance, **COMPILATION), torch.compile(look, **COMPILATION)
     generator = torch.Generator().manual_seed(0)
     noise = (
@@ -37,7 +37,7 @@ def test_compiled_and_eager_steps_agree():
     worlds, rho, happened = env.worlds, torch.tensor(0.5), torch.zeros(4, dtype=torch.long)
     for _ in range(STEPS):
         action = torch.randint(actions.count, worlds.active.shape, generator=generator)
-        given = (worlds, env._spare, action, rho, env.road_map, env.map_index, sim, reward, actions)
+        given = (worlds, env._spare, action, rho, env.road_map, env.map_index, task)
         mine, other = advance(*given, env.trailers), step(*given, env.trailers)
         assert_close(tensors(mine[0]), tensors(other[0]))
         assert_close(tensors(mine[1].outcome), tensors(other[1].outcome))

@@ -9,7 +9,7 @@ import torch
 from phase_sumo.bridge.fleet.table import STATE, TASK
 from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.bridge.sumo.conventions import shapes
-from phase_sumo.config import REGIMES, ActionConfig, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.config import REGIMES, ScenarioConfig, SimConfig, TaskConfig
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.observation import Observation
@@ -34,10 +34,7 @@ class Replay:
             [build_bundle(network, ScenarioConfig(regimes=REGIMES[:1]))],
             1,
             len(self.ids),
-            sim,
-            ScenarioConfig(regimes=REGIMES[:1]),
-            RewardConfig(),
-            ActionConfig(),
+            TaskConfig(sim=sim, scenarios=ScenarioConfig(regimes=REGIMES[:1])),
             training=False,
         )
         self.environment.trailers = len(self.ids)

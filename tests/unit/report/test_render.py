@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 from PIL import Image, ImageSequence
 
-from phase_sumo.config import ActionConfig, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.config import TaskConfig
 from phase_sumo.report.map_picture import ASPHALT, KERB, border_lines, lane_surfaces
 from phase_sumo.report.render import CRASH, OFF_ROAD, TYPES, Frame, Window, draw_world, film
 from phase_sumo.sim.environment import Environment
@@ -25,9 +25,7 @@ CAR, RIGID, ARTICULATED = TYPES.values()
 
 def environment(straight_map) -> Environment:
     """One world of five slots, the last one empty: two cars, a tractor-trailer, a crashed car."""
-    env = Environment(
-        [straight_map], 1, 5, SimConfig(), ScenarioConfig(), RewardConfig(), ActionConfig(), training=False
-    )
+    env = Environment([straight_map], 1, 5, TaskConfig(), training=False)
     shape = truck_shape(5).where(torch.arange(5).unsqueeze(0) == 0, car_shape(5))
     state = vehicle_state(
         [180.0, 200.0, 220.0, 240.0, 210.0], [0.0, 3.66, 7.32, 0.0, 0.0], speed=20.0, hitch=0.0, count=5

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 
 import pytest
 import torch
 
-from phase_sumo.config import REGIMES, ActionConfig, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.config import REGIMES, ActionConfig, ScenarioConfig, SimConfig, TaskConfig
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.events import agent_contacts
 from phase_sumo.sim.vehicles import boxes
@@ -22,10 +23,7 @@ def make(straight_map, worlds=8, slots=24, seed=0, training=False, scenarios=Non
         [straight_map],
         worlds,
         slots,
-        SimConfig(),
-        scenarios,
-        RewardConfig(),
-        ACTIONS,
+        TaskConfig(scenarios=scenarios),
         seed,
         training=training,
         **options,
@@ -117,7 +115,7 @@ def test_episodes_end_by_goal_unrecoverable_or_time_and_worlds_start_again(strai
 
 def test_without_early_termination_only_goal_and_time_end_an_episode(straight_map):
     env = make(straight_map)
-    env.sim = SimConfig(early_termination=False)
+    env.task = replace(env.task, sim=SimConfig(early_termination=False))
     for _ in range(SimConfig().horizon):
         step = env.step(coast(env))
         assert not (step.terminated & ~step.outcome.goal).any()

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from phase_sumo.config import GuardConfig, RewardConfig, ScenarioConfig
+from phase_sumo.config import GuardConfig, ScenarioConfig, TaskConfig
 from phase_sumo.sim import kinematics
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.fallback import LOOKED_AT, braking
@@ -146,7 +146,12 @@ def test_a_guarded_environment_takes_scores_and_says_what_came_of_them(straight_
     rates, reasons = {}, 0
     for guard in (GuardConfig(), None):
         env = Environment(
-            [straight_map], 4, 48, SIM, dense, RewardConfig(), ACTIONS, training=False, guard=guard
+            [straight_map],
+            4,
+            48,
+            TaskConfig(sim=SIM, actions=ACTIONS, scenarios=dense),
+            training=False,
+            guard=guard,
         )
         hit, acted = 0, 0
         for _ in range(60):

@@ -13,11 +13,10 @@ from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import (
     POOLS,
     REGIMES,
-    ActionConfig,
-    RewardConfig,
     ScenarioConfig,
     ScriptConfig,
     SimConfig,
+    TaskConfig,
 )
 from phase_sumo.sim.curve_speed import SIDEWAYS, SIDEWAYS_TRUCK, WINDOW
 from phase_sumo.sim.dimensions import truck_slots
@@ -126,9 +125,7 @@ def test_standing_and_scripted_vehicles_follow_their_lanes(bundle):
     """They stay on their lane's centre, stop behind what stands, and nobody trains on them."""
     script = ScriptConfig(standing_worlds=0.5, scripted_worlds=0.5, most_standing=2)
     scenarios = ScenarioConfig(agent_scale=0.2, script=script)
-    env = Environment(
-        [bundle], 24, 24, SimConfig(), scenarios, RewardConfig(), ActionConfig(), training=False
-    )
+    env = Environment([bundle], 24, 24, TaskConfig(scenarios=scenarios), training=False)
     kind, scripted = env.worlds.kind, env.worlds.script.scripted
     assert set(kind.tolist()) == {STANDING, SCRIPTED}
     assert (scripted & env.worlds.active).any(-1).float().mean() > 0.75  # not where a free road has few

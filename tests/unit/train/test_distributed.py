@@ -45,10 +45,7 @@ def experience(bundle: Path) -> Rollout:
         [load_bundle(bundle)],
         config.worlds,
         config.slots,
-        config.sim,
-        config.scenarios,
-        config.reward,
-        config.actions,
+        config,
     )
     generator = torch.Generator().manual_seed(0)
     net, buffer = network(config).eval(), Buffer(env, config.rollout)
@@ -135,10 +132,7 @@ def test_shares_of_the_worlds_are_all_of_them(straight_map):
             [straight_map],
             7,
             8,
-            config.sim,
-            config.scenarios,
-            config.reward,
-            config.actions,
+            config,
             share=share,
         )
         return env.tuple_index.tolist()

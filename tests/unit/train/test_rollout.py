@@ -16,7 +16,7 @@ MEAN, STD = 0.5, 2.0
 
 def environment(bundle: MapBundle) -> Environment:
     c = preset("smoke")
-    return Environment([bundle], 6, 8, c.sim, c.scenarios, c.reward, c.actions, seed=4)
+    return Environment([bundle], 6, 8, c, seed=4)
 
 
 def test_samples_are_those_of_the_active_agents_in_order(straight_map):
