@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from phase_sumo.bridge.drive_options import DriveOptions
-from phase_sumo.bridge.fleet.parameters import KEYS, KINDS
+from phase_sumo.bridge.fleet.parameters import KEYS
 from phase_sumo.bridge.maps.freeway import kind_of_road
 from phase_sumo.bridge.maps.network_facts import network_facts
 from phase_sumo.bridge.sumo.conventions import vehicle_kind
@@ -18,6 +18,7 @@ from phase_sumo.bridge.sumo.demand_survey import DemandSurvey, survey
 from phase_sumo.bridge.sumo.option_names import TRUE
 from phase_sumo.bridge.sumo.options import ASKED, SumoScenario, changes, read_scenario
 from phase_sumo.errors import PhaseError, nearest
+from phase_sumo.sim.dimensions import KINDS
 from phase_sumo.sim.lanes import LaneNetwork
 
 OURS = ("phase.", "has.phase.", "device.phase.")  # beginnings of our parameters

@@ -25,6 +25,7 @@ from phase_sumo.evaluate.statistics import bootstrap_mean
 from phase_sumo.evaluate.synthetic import RATES
 from phase_sumo.sim import scenario
 from phase_sumo.sim.bundle import MapBundle
+from phase_sumo.sim.dimensions import KINDS
 from phase_sumo.sim.environment import BRAKING_JERK
 from phase_sumo.sim.pairs import PairTable
 from phase_sumo.sim.road_map import RoadMap, merge
@@ -35,7 +36,6 @@ DIGEST = Path(__file__).with_name("benchmark.json")
 SCENARIOS = ScenarioConfig(agent_scale=0.5)  # half the paper's agent counts, those after the switch
 SLOTS = 128
 WORLDS_PER_TUPLE = 4
-TYPES = ("car", "rigid_truck", "articulated_truck")
 STATE = ("x", "y", "yaw", "speed", "steer", "hitch")  # the others start at 0, the histories at these
 PARTS = {VehicleShape: "shape", Task: "task"}
 
@@ -201,7 +201,7 @@ def run_benchmark(
     }
     kind = start.shape.truck.int() + start.shape.articulated
     result["by_type"] = {
-        name: rates(outcomes, start.active & (kind == index)) for index, name in enumerate(TYPES)
+        name: rates(outcomes, start.active & (kind == index)) for index, name in enumerate(KINDS)
     }
     return result
 

@@ -15,7 +15,8 @@ from phase_sumo.config import SimConfig
 from phase_sumo.evaluate.fixed_worlds import trailer_slots
 from phase_sumo.evaluate.statistics import bootstrap_by
 from phase_sumo.evaluate.zero_shot import Frame, Scenes
-from phase_sumo.logs.recording import KINDS, PERIOD
+from phase_sumo.logs.recording import PERIOD
+from phase_sumo.sim.dimensions import KINDS
 from phase_sumo.sim.events import agent_contacts, goal_reached, road_contacts
 from phase_sumo.sim.vehicles import boxes
 

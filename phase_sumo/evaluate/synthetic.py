@@ -12,7 +12,7 @@ from phase_sumo.config import ScenarioConfig, TaskConfig
 from phase_sumo.policy.checkpoint import Policy
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import Environment
-from phase_sumo.sim.scenario import KINDS
+from phase_sumo.sim.scenario import WORLD_KINDS
 from phase_sumo.sim.worlds import Transition
 
 RATES = ("goal_rate", "agent_collision_rate", "at_fault_rate", "road_collision_rate", "success_rate")
@@ -92,7 +92,7 @@ def _groups(env: Environment) -> dict[str, Tensor]:
     }
     for index, regime in enumerate(env.task.scenarios.regimes):
         groups[f"by_regime:{regime.name}"] = everybody(env.regime_index == index)
-    for index, kind in enumerate(KINDS):
+    for index, kind in enumerate(WORLD_KINDS):
         groups[f"by_kind:{kind}"] = everybody((worlds.kind == index) & ~worlds.rolling)
     return groups
 

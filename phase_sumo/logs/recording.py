@@ -6,17 +6,24 @@ Recorded boxes become vehicles of the simulator: type, shape, and poses of the r
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from phase_sumo.arrays import FloatArray, IntArray
+from phase_sumo.sim.dimensions import (
+    ARTICULATED_FROM,
+    KINDS,
+    REAR_OVERHANG,
+    TRAILER_BASE,
+    TRAILER_SETBACK,
+    WHEELBASE,
+    Kind,
+    split,
+)
 from phase_sumo.sim.lanes import DECIMALS, LaneNetwork, away
 from phase_sumo.sim.vehicles import VehicleShape
-
-Kind = Literal["car", "rigid_truck", "articulated_truck"]
 
 PERIOD = 0.1  # s: every recording is resampled to the step of the simulator
 
@@ -103,7 +110,6 @@ class Window:
 
 
 TRUCK = 7.0  # m: longer vehicles are trucks
-ARTICULATED = 12.5  # m: no rigid truck is longer, by law in most countries
 CARS = frozenset({"car", "van", "motorcycle", "sedan", "midsize", "pickup", "suv", "taxi"})
 TRUCKS = frozenset({"truck", "semi", "trailer", "lorry"})
 BUSES = frozenset({"bus"})
@@ -112,39 +118,25 @@ BUSES = frozenset({"bus"})
 def kind_of(length: float, vehicle_class: str | None = None) -> Kind:
     """The one rule for all readers.
 
-    By length: below `TRUCK` a car, below `ARTICULATED` a rigid truck, else articulated. The log's own class,
-    where it has one, overrules that in three cases: what it calls a truck is no car, what it calls a car,
-    van or motorcycle is no rigid truck (it may tow), and a bus is a rigid truck of any length.
+    By length: below `TRUCK` a car, below `ARTICULATED_FROM` a rigid truck, else articulated. The log's own
+    class, where it has one, overrules that in three cases: what it calls a truck is no car, what it calls a
+    car, van or motorcycle is no rigid truck (it may tow), and a bus is a rigid truck of any length.
     """
     named = (vehicle_class or "").strip().lower()
     if named in BUSES:
         return "rigid_truck"
-    if length >= ARTICULATED:
+    if length >= ARTICULATED_FROM:
         return "articulated_truck"
     if named in TRUCKS:
         return "rigid_truck"
     return "rigid_truck" if length >= TRUCK and named not in CARS else "car"
 
 
-# proportions of sampled vehicles, see `phase_sumo.sim.dimensions`: shares of the length of the car, rigid
-# truck or tractor, in this order
-WHEELBASE = np.array([0.6, 0.55, 0.75])
-REAR_OVERHANG = np.array([0.2, 0.27, 0.1])
-KINDS = "car", "rigid_truck", "articulated_truck"
-TRACTOR = 7.0 / 14.1  # tractor to trailer length, the means sampled
-TRAILER_BASE = 0.8  # hitch to axle, of the trailer's length
-SETBACK = 0.9  # m from the trailer's front to the hitch
 HISTORY = 10.0  # s of path that turn a trailer, several times its length
 
 
 def shape(recording: Recording, rows: IntArray) -> VehicleShape:
-    """Geometry of the vehicles ``rows`` [N], as one world of N.
-
-    The box of an articulated truck, L long, is divided into a tractor of length a and a trailer of length b
-    with a / b as in training; from the tractor's front bumper to the trailer's rear they measure L:
-
-        (1 - 0.1) a + b - `SETBACK` = L
-    """
+    """Geometry of the vehicles ``rows`` [N], as one world of N; see `dimensions.split` for trailers."""
     sizes = {
         name: torch.from_numpy(value.astype(np.float32))[None]
         for name, value in _sizes(recording, rows).items()
@@ -184,18 +176,23 @@ def _sizes(recording: Recording, rows: IntArray) -> dict[str, FloatArray]:
     """Numbers of `VehicleShape` in its order, each [N]."""
     kind = np.array([KINDS.index(recording.kind[row]) for row in rows], np.int64)
     length, width = recording.length[rows], recording.width[rows]
-    trailer = np.where(kind == 2, (length + SETBACK) / (1.0 + (1.0 - REAR_OVERHANG[2]) * TRACTOR), 0.0)
-    length = np.where(kind == 2, TRACTOR * trailer, length)
+    towing = kind == KINDS.index("articulated_truck")
+    tractor, trailer = split(length)
+    length, trailer = np.where(towing, tractor, length), np.where(towing, trailer, 0.0)
     return {
         "length": length,
         "width": width,
-        "wheelbase": WHEELBASE[kind] * length,
-        "rear_overhang": REAR_OVERHANG[kind] * length,
+        "wheelbase": _by_kind(WHEELBASE)[kind] * length,
+        "rear_overhang": _by_kind(REAR_OVERHANG)[kind] * length,
         "trailer_length": trailer,
-        "trailer_width": np.where(kind == 2, width, 0.0),
+        "trailer_width": np.where(towing, width, 0.0),
         "trailer_base": TRAILER_BASE * trailer,
-        "trailer_setback": np.where(kind == 2, SETBACK, 0.0),
+        "trailer_setback": np.where(towing, TRAILER_SETBACK, 0.0),
     }
+
+
+def _by_kind(values: dict[Kind, float]) -> FloatArray:
+    return np.array([values[kind] for kind in KINDS])
 
 
 def _hitch(x: FloatArray, y: FloatArray, yaw: FloatArray, base: FloatArray) -> FloatArray:

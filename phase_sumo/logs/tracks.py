@@ -23,9 +23,10 @@ from phase_sumo.arrays import FloatArray
 from phase_sumo.errors import PhaseError
 from phase_sumo.logs.csv_table import Table
 from phase_sumo.logs.recorded_roads import Carriageway, straight_road
-from phase_sumo.logs.recording import Kind, Recording, kind_of
+from phase_sumo.logs.recording import Recording, kind_of
 from phase_sumo.logs.sampling import on_grid, path_speed, path_yaw
 from phase_sumo.logs.windows import finished
+from phase_sumo.sim.dimensions import Kind
 from phase_sumo.sim.lanes import LaneNetwork
 
 REQUIRED = ("id", "t", "y_m", "length_m")

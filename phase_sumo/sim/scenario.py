@@ -28,7 +28,7 @@ LEAST_WISH = 0.6  # share of the regime's speed that target speeds come from at 
 HARMONIES = 4  # passes in which vehicles slow down to what they can brake for behind the one ahead
 FAIR = 10.0  # m
 STEADY_JERK = 1.0  # m/s^3, times alpha, with which speeding up is counted on
-KINDS = ("plain", "standing", "scripted")  # what there is in a world besides agents
+WORLD_KINDS = ("plain", "standing", "scripted")  # what there is in a world besides agents
 PLAIN, STANDING, SCRIPTED = range(3)
 
 

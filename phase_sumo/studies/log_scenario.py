@@ -15,7 +15,8 @@ import numpy as np
 
 from phase_sumo.bridge.maps.import_map import netconvert
 from phase_sumo.logs.lane_matching import LanePlaces
-from phase_sumo.logs.recording import PERIOD, Kind, Window
+from phase_sumo.logs.recording import PERIOD, Window
+from phase_sumo.sim.dimensions import ARTICULATED_FROM, Kind
 from phase_sumo.sim.lanes import LaneNetwork
 
 SPEED_LIMIT = 45.0  # m/s on every lane: what a driver wants is the vehicle's, by its speed factor
@@ -173,7 +174,6 @@ def _join(root: list[int], i: int, j: int) -> None:
 
 
 CLASSES: dict[Kind, str] = {"car": "passenger", "rigid_truck": "truck", "articulated_truck": "trailer"}
-LONGEST_RIGID = 12.5  # m: SUMO's class truck bends for us from here on, a bus does not
 SPEEDS = (3.0, 40.0)  # m/s that a driver may want, those that the policy is trained for
 NEAR_END = 5.0  # m of a lane at either end that netconvert may cut off for a junction
 
@@ -249,7 +249,7 @@ def write_demand(window: Window, start: Start, model: str, path: Path) -> list[s
     r, names, lines = window.recording, [], []
     for k, row in enumerate(window.agents.tolist()):
         name, kind, length = f"v{row}", r.kind[k], float(r.length[k])
-        vclass = "bus" if kind == "rigid_truck" and length > LONGEST_RIGID else CLASSES[kind]
+        vclass = "bus" if kind == "rigid_truck" and length > ARTICULATED_FROM else CLASSES[kind]
         lines.append(
             f'<vType id="t{row}" vClass="{vclass}" carFollowModel={quoteattr(model)} length="{length:.2f}" '
             f'width="{r.width[k]:.2f}" maxSpeed="60" speedDev="0"/>'

@@ -30,7 +30,6 @@ from phase_sumo.studies.cross_entropy import Candidate, minimise
 from phase_sumo.studies.scenario_export import BOXES, SceneVehicle, write_scene
 
 Criterion = Literal["near-miss", "cut-in"]
-KINDS = {"car": "car", "rigid": "rigid_truck", "articulated": "articulated_truck"}
 SPEEDS = 0.6, 1.4  # bounds of the target speed as multiples of the present one
 SLOWEST, FASTEST = 5.0, 40.0  # m/s, of a target speed
 AFTERMATH = 3.0  # s at the end of a run in which no encounter counts, lest it end in a collision unseen
@@ -135,7 +134,7 @@ def _vehicle(fleet: PhaseFleet, row: int, name: str) -> SceneVehicle:
     route = tuple(api.vehicle.getRoute(name))[api.vehicle.getRouteIndex(name) :]
     return SceneVehicle(
         id=name,
-        kind=KINDS[kind],
+        kind=kind,
         vclass=of_type.getVehicleClass(vtype),
         length=round(of_type.getLength(vtype), 2),
         width=round(of_type.getWidth(vtype), 2),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from phase_sumo.logs.recording import PERIOD, Kind, Recording
+from phase_sumo.logs.recording import PERIOD, Recording
+from phase_sumo.sim.dimensions import Kind
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 
 WIDTH = 3.66

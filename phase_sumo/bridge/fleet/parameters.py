@@ -11,9 +11,10 @@ import hashlib
 from dataclasses import dataclass
 from typing import Any
 
-from phase_sumo.bridge.sumo.conventions import Kind, ShapeRow, vehicle_kind, vehicle_shape
+from phase_sumo.bridge.sumo.conventions import ShapeRow, vehicle_kind, vehicle_shape
 from phase_sumo.bridge.sumo.option_names import FALSE, TRUE
 from phase_sumo.errors import PhaseError
+from phase_sumo.sim.dimensions import KINDS, Kind
 
 ALPHA_BOUNDS = (0.3, 1.0)  # drawn from when nobody says otherwise: below 0.3 a vehicle can hardly keep up
 TIME_GAPS = (0.0, 5.0)  # s, allowed
@@ -114,7 +115,6 @@ class Choice:
 
 
 TARGET_SPEEDS = (3.0, 40.0)  # m/s
-KINDS: dict[str, Kind] = {"car": "car", "rigid_truck": "rigid", "articulated_truck": "articulated"}
 # allowed values, m; the shares of the training's dimensions (sim/dimensions.py) with room on both sides
 BODY = {
     "length": (2.0, 20.0),
@@ -190,7 +190,7 @@ class Parameters:
         width, named = float(types.getWidth(self._kind)), self._text("phase.type")
         if named and named not in KINDS:
             raise self._bad("phase.type", named, f"one of {', '.join(KINDS)}")
-        kind = KINDS[named] if named else vehicle_kind(vclass, length)
+        kind: Kind | None = next((k for k in KINDS if k == named), None) or vehicle_kind(vclass, length)
         given = {name: self.number(f"phase.{name}", bounds) for name, bounds in (BODY | TRAILER).items()}
         known = {name: value for name, value in given.items() if value is not None}
         shape = vehicle_shape(kind or "car", length, width, known)
@@ -205,7 +205,7 @@ class Parameters:
     def _check(
         self, shape: ShapeRow, kind: Kind | None, known: dict[str, float], length: float, width: float
     ) -> None:
-        if kind != "articulated":
+        if kind != "articulated_truck":
             for name in TRAILER:
                 if name in known:
                     wanted = "an articulated truck: set phase.type=articulated_truck"

@@ -10,8 +10,9 @@ import numpy as np
 from phase_sumo.bridge.fleet.event_log import EventLog
 from phase_sumo.bridge.fleet.parameters import Parameters
 from phase_sumo.bridge.fleet.table import VehicleTable
-from phase_sumo.bridge.sumo.conventions import Kind, ShapeRow, reference_from_front, yaw_from_angle
+from phase_sumo.bridge.sumo.conventions import ShapeRow, reference_from_front, yaw_from_angle
 from phase_sumo.bridge.sumo.session import Simulation, bare
+from phase_sumo.sim.dimensions import Kind
 
 MIRRORED = ("LaneID", "Position", "Angle", "Speed", "Acceleration")
 REMOVED_BY_SUMO = "by SUMO"

@@ -8,16 +8,23 @@ tractor and trailer.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
 from phase_sumo.arrays import FloatArray
+from phase_sumo.sim.dimensions import (
+    ARTICULATED_FROM,
+    REAR_OVERHANG,
+    TRAILER_BASE,
+    TRAILER_SETBACK,
+    WHEELBASE,
+    Kind,
+    split,
+)
 from phase_sumo.sim.vehicles import VehicleShape
-
-Kind = Literal["car", "rigid", "articulated"]
 
 CAR_CLASSES = frozenset(
     [
@@ -38,15 +45,6 @@ CAR_CLASSES = frozenset(
 RIGID_CLASSES = frozenset(["truck", "delivery", "bus", "coach"])
 ARTICULATED_CLASSES = frozenset(("trailer",))
 DRIVEN_CLASSES = CAR_CLASSES | RIGID_CLASSES | ARTICULATED_CLASSES
-ARTICULATED_FROM = 12.5  # m: a "truck" longer than the 12 m that a rigid one may have bends
-
-# Shares of the body, the means of what the policy is trained with (sim/scenario.py)
-WHEELBASE = {"car": 0.6, "rigid": 0.55, "articulated": 0.75}
-REAR_OVERHANG = {"car": 0.2, "rigid": 0.27, "articulated": 0.1}
-TRACTOR_SHARE = 0.33  # tractor body / overall length: 7.3 m of a WB-67's 22 m
-TRACTOR_LENGTH = (6.0, 8.0)  # m, as in training
-TRAILER_BASE = 0.8  # hitch to axle / trailer length
-TRAILER_SETBACK = 0.9  # m, trailer front to kingpin
 
 
 class ShapeRow(NamedTuple):
@@ -104,10 +102,10 @@ def front_from_reference(
 def vehicle_kind(vehicle_class: str, length: float) -> Kind | None:
     """What a vType is to us; None for those that PHASE does not drive (bicycles, trams, people ...)."""
     if vehicle_class in ARTICULATED_CLASSES:
-        return "articulated"
+        return "articulated_truck"
     if vehicle_class in RIGID_CLASSES:
         bends = vehicle_class == "truck" and length > ARTICULATED_FROM
-        return "articulated" if bends else "rigid"
+        return "articulated_truck" if bends else "rigid_truck"
     return "car" if vehicle_class in CAR_CLASSES else None
 
 
@@ -128,8 +126,8 @@ def vehicle_shape(kind: Kind, overall: float, width: float, given: Mapping[str, 
     """
     setback = given.get("trailer_setback", TRAILER_SETBACK)
     body = overall
-    if kind == "articulated":
-        body = float(np.clip(TRACTOR_SHARE * overall, *TRACTOR_LENGTH))
+    if kind == "articulated_truck":
+        body = float(split(overall)[0])
         if "trailer_length" in given:  # the tractor is what is left
             front = overall - given["trailer_length"] + setback
             overhang = given.get("rear_overhang")
@@ -142,7 +140,7 @@ def vehicle_shape(kind: Kind, overall: float, width: float, given: Mapping[str, 
         rear_overhang=given.get("rear_overhang", REAR_OVERHANG[kind] * body),
         truck=kind != "car",
     )
-    if kind != "articulated":
+    if kind != "articulated_truck":
         return row
     trailer = given.get("trailer_length", overall - row.front_overhang + setback)
     return row._replace(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -13,19 +12,12 @@ from torch import Tensor
 from phase_sumo.config import Actions, SimConfig
 from phase_sumo.evaluate.fixed_worlds import Driver, Start, Step, drive
 from phase_sumo.evaluate.steering.egos import Ego
+from phase_sumo.sim.dimensions import Kind, mean_shape
 from phase_sumo.sim.road_map import RoadMap
 from phase_sumo.sim.vehicles import VehicleShape
 
-Kind = Literal["car", "rigid_truck", "articulated_truck"]
-
 COVERED_TIME = 4.0  # s within which the distance covered is counted
 LANE_WIDTH = 3.66  # m, of most of the networks
-# length, width, wheelbase, rear overhang, trailer length, width, base, setback: the means of sim/dimensions
-SHAPES: dict[Kind, tuple[float, ...]] = {
-    "car": (4.9, 1.9, 2.94, 0.98, 0.0, 0.0, 0.0, 0.0),
-    "rigid_truck": (9.5, 2.52, 5.225, 2.565, 0.0, 0.0, 0.0, 0.0),
-    "articulated_truck": (7.0, 2.52, 5.25, 0.7, 14.1, 2.55, 11.28, 0.9),
-}
 
 
 @dataclass(frozen=True)
@@ -104,12 +96,10 @@ class Stage:
     def _begin(self, contexts: Sequence[Context]) -> Start:
         """The worlds with the egos' contexts set."""
         shape, task = self.start.shape.map(Tensor.clone), self.start.task.map(Tensor.clone)
-        names = [f.name for f in fields(VehicleShape) if f.name != "truck"]
         for k, (ego, context) in enumerate(zip(self.egos, contexts, strict=True)):
             at = k, ego.slot
-            for name, value in zip(names, SHAPES[context.kind], strict=True):
+            for name, value in mean_shape(context.kind).items():
                 getattr(shape, name)[at] = value
-            shape.truck[at] = context.kind != "car"
             x, y, yaw = ego.goals.get(context.lane, ego.goals[0])
             task.goal_x[at], task.goal_y[at], task.goal_yaw[at] = x, y, yaw
             target = context.speed * self.start.state.speed[at]

@@ -12,11 +12,12 @@ from phase_sumo.arrays import FloatArray
 from phase_sumo.evaluate.statistics import Estimate, bootstrap_mean
 from phase_sumo.evaluate.steering.egos import Ego
 from phase_sumo.evaluate.steering.outcomes import Context, Outcome, Stage
+from phase_sumo.sim.dimensions import KINDS
 
 LEVELS: dict[str, tuple[Any, ...]] = {
     "alpha": (0.1, 0.3, 0.5, 0.7, 1.0),
     "speed": (0.7, 0.85, 1.0, 1.15, 1.3),
-    "kind": ("car", "rigid_truck", "articulated_truck"),
+    "kind": KINDS,
     "lane": (-1, 0, 1),
 }
 # what should follow it, and whether upwards (1) or downwards (-1)

@@ -45,10 +45,10 @@ def test_positions_round_trip():
     ("vehicle_class", "length", "kind"),
     [
         ("passenger", 4.8, "car"),
-        ("truck", 7.1, "rigid"),
-        ("truck", 18.0, "articulated"),
-        ("trailer", 16.5, "articulated"),
-        ("bus", 18.0, "rigid"),
+        ("truck", 7.1, "rigid_truck"),
+        ("truck", 18.0, "articulated_truck"),
+        ("trailer", 16.5, "articulated_truck"),
+        ("bus", 18.0, "rigid_truck"),
         ("bicycle", 1.6, None),
     ],
 )

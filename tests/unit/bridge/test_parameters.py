@@ -91,7 +91,7 @@ def test_nothing_said_leaves_everything_to_the_run():
     found = parameters()
     assert found.marks() == Marks()
     assert found.context() == Context(None, None, None, None)
-    assert found.shape() == (shape_from_type("trailer", 20.0, 2.55), "articulated")
+    assert found.shape() == (shape_from_type("trailer", 20.0, 2.55), "articulated_truck")
 
 
 def test_the_vehicles_own_values_win_over_its_types():
@@ -110,7 +110,7 @@ def test_marks_are_read_where_sumo_allows_them():
 def test_type_and_dimensions_by_hand():
     own = {"phase.type": "rigid_truck", "phase.wheelbase": "5.5", "phase.rear_overhang": "2"}
     shape, kind = parameters(own, vclass="truck", length=11.0).shape()
-    assert kind == "rigid"
+    assert kind == "rigid_truck"
     assert (shape.length, shape.wheelbase, shape.rear_overhang, shape.trailer_length) == (11.0, 5.5, 2.0, 0.0)
     assert parameters({"phase.type": "car"}, vclass="motorcycle", length=2.2).shape()[1] == "car"
     assert parameters(vclass="motorcycle", length=2.2).shape()[1] is None
