@@ -135,8 +135,9 @@ class RewardConfig:
     distance_unit: float = 20.0  # m, choice
     # Not in the paper; with these values the terms are the paper's
     speed_below: float = 0.07  # of a speed below the target speed
-    collision_onset: float = 0.0  # once, when an agent's first contact begins
-    road_edge_onset: float = 0.0  # likewise
+    # The first contact at its fault, or with the road edge, ends an agent's episode. Else one that is stuck
+    # pays in every step, and a few such agents make up nearly all of the advantages' variance.
+    contacts_end: bool = False
     not_at_fault: float = 0.0  # share of a collision's weight that the one who is not at fault pays
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from phase_sumo.config import RewardConfig, SimConfig
-from phase_sumo.sim.events import Events, Outcome
+from phase_sumo.sim.events import Events
 from phase_sumo.sim.geometry import wrap_angle
 from phase_sumo.sim.vehicles import Task, VehicleState
 
@@ -35,7 +35,6 @@ def rewards(
     after: VehicleState,
     task: Task,
     events: Events,
-    earlier: Outcome,
     multipliers: Multipliers,
     config: RewardConfig,
     sim: SimConfig,
@@ -45,9 +44,6 @@ def rewards(
     R = R_g + R_l - R_f - R_e - R_t - R_a - R_s + R_p. All in SI units, except
     that R_t counts the distance to the goal in ``config.distance_unit``. The weights that the paper does not
     have are 0 by default, or equal one of its own: see `RewardConfig`.
-
-    Args:
-        earlier: what had become of the agents before this step.
     """
     distance = _distance(after, task)
     safe_speed = after.speed.clamp_min(sim.min_speed)
@@ -55,10 +51,8 @@ def rewards(
     return {
         "goal": config.goal * multipliers.goal(goal_quality(after, task, config)) * events.goal,
         "lane": config.lane * (~events.lane_boundary).float(),
-        "collision": -multipliers.penalty * collision(events, earlier, config),
-        "road_edge": -multipliers.penalty
-        * events.road_edge
-        * (config.road_edge + config.road_edge_onset * ~earlier.road_edge),
+        "collision": -multipliers.penalty * collision(events, config),
+        "road_edge": -multipliers.penalty * config.road_edge * events.road_edge,
         "termination": -config.termination
         * multipliers.penalty
         * events.unrecoverable
@@ -72,10 +66,9 @@ def rewards(
     }
 
 
-def collision(events: Events, earlier: Outcome, config: RewardConfig) -> Tensor:
+def collision(events: Events, config: RewardConfig) -> Tensor:
     """Weight of a step's contacts: whose fault it is pays in full, the other one ``config.not_at_fault``."""
-    blame = torch.where(events.at_fault, 1.0, config.not_at_fault * events.collision)
-    return blame * (config.collision + config.collision_onset * ~earlier.collision)
+    return config.collision * torch.where(events.at_fault, 1.0, config.not_at_fault * events.collision)
 
 
 def _distance(state: VehicleState, task: Task) -> Tensor:

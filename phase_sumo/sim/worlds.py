@@ -94,7 +94,8 @@ class Transition:
     Attributes:
         reward: 0 for agents that were not active.
         active: agents that acted in this step.
-        terminated: reached the goal (the last one, where goals roll on) or became unrecoverable.
+        terminated: reached the goal (the last one, where goals roll on), became unrecoverable, or had a
+            contact that ends the episode.
         truncated: ran out of time.
         finished: terminated or truncated, with ``outcome`` final.
         over: [W] bool, worlds that began a new scenario after the step.
@@ -146,16 +147,17 @@ def advance(
     after, events = step(
         shape, before, task, agents, there, jerk, rate, road_map, map_index, sim, trailers, by_script
     )
-    terms = rewards(
-        before, after, task, events, worlds.outcome, Multipliers.at(rho, config.reward), config.reward, sim
-    )
+    terms = rewards(before, after, task, events, Multipliers.at(rho, config.reward), config.reward, sim)
 
     clock = worlds.clock + 1
     horizon, goal_node, goes_on = sim.horizon, worlds.goal_node, torch.zeros_like(agents)
     if beyond is not None:
         goal_node, task, goes_on = _next_goals(worlds, events.goal & agents, beyond)
         horizon = torch.where(worlds.rolling, beyond.horizon, sim.horizon)
-    terminated = agents & ((events.goal & ~goes_on) | events.unrecoverable)
+    ended = (events.goal & ~goes_on) | events.unrecoverable
+    if config.reward.contacts_end:
+        ended = ended | events.at_fault | events.road_edge
+    terminated = agents & ended
     truncated = agents & ~terminated & (clock >= horizon).unsqueeze(-1)
     finished = terminated | truncated
     outcome = worlds.outcome.after(events)

@@ -8,10 +8,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from phase_sumo.config import REGIMES, ActionConfig, ScenarioConfig, SimConfig, TaskConfig
+from phase_sumo.config import REGIMES, ActionConfig, RewardConfig, ScenarioConfig, SimConfig, TaskConfig
 from phase_sumo.sim.environment import Environment
 from phase_sumo.sim.events import agent_contacts
 from phase_sumo.sim.vehicles import boxes
+from tests.helpers.rollouts import token
 
 ACTIONS = ActionConfig()
 COAST = ACTIONS.jerk.index(0.0) * len(ACTIONS.steering_rate) + ACTIONS.steering_rate.index(0.0)
@@ -119,6 +120,23 @@ def test_without_early_termination_only_goal_and_time_end_an_episode(straight_ma
     for _ in range(SimConfig().horizon):
         step = env.step(coast(env))
         assert not (step.terminated & ~step.outcome.goal).any()
+
+
+@pytest.mark.parametrize("end", [False, True])
+def test_contacts_end_an_episode_where_the_reward_says_so(straight_map, end: bool):
+    env = make(straight_map)
+    env.task = replace(env.task, reward=RewardConfig(contacts_end=end))
+    swerve = torch.full_like(coast(env), token(5.0, 0.3))
+    touched = ended = 0
+    for _ in range(SimConfig().horizon):
+        before = env.worlds.outcome
+        step = env.step(swerve)
+        first = step.active & ~(before.at_fault | before.road_edge)
+        now = first & (step.outcome.at_fault | step.outcome.road_edge)
+        touched += int(now.sum())
+        ended += int((now & step.terminated & ~step.outcome.goal).sum())
+    assert touched > 50
+    assert (ended == touched) if end else (ended < 0.5 * touched)
 
 
 def test_a_batch_of_worlds_equals_the_worlds_one_by_one(straight_map):

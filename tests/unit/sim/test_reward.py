@@ -10,7 +10,7 @@ import torch
 
 from phase_sumo.config import RewardConfig, SimConfig
 from phase_sumo.sim.curriculum import curriculum_progress
-from phase_sumo.sim.events import Events, Outcome
+from phase_sumo.sim.events import Events
 from phase_sumo.sim.reward import Multipliers, alignment, goal_quality, progress, rewards
 from phase_sumo.train.presets import preset
 from tests.helpers.factories import column, task_to, vehicle_state
@@ -24,18 +24,12 @@ def events(**happened: bool) -> Events:
     return Events(*(torch.tensor([[happened.get(name, False)]]) for name in names))
 
 
-def outcome(**happened: bool) -> Outcome:
-    names = [f.name for f in dataclasses.fields(Outcome)]
-    return Outcome(*(torch.tensor([[happened.get(name, False)]]) for name in names))
-
-
-def terms(config=SI, rho=0.0, before=None, after=None, task=None, earlier=None, **happened):
+def terms(config=SI, rho=0.0, before=None, after=None, task=None, **happened):
     after = vehicle_state(x=10.0, speed=20.0) if after is None else after
     before = vehicle_state(x=8.0, speed=20.0) if before is None else before
     task = task_to() if task is None else task
-    earlier = outcome() if earlier is None else earlier
     now, multipliers = events(**happened), Multipliers.at(rho, config)
-    all_terms = rewards(before, after, task, now, earlier, multipliers, config, SIM)
+    all_terms = rewards(before, after, task, now, multipliers, config, SIM)
     return {name: value.item() for name, value in all_terms.items()}
 
 
@@ -56,19 +50,10 @@ def test_penalties_grow_with_the_curriculum_and_fall_on_the_culprit_only():
     assert terms(road_edge=True, rho=0.5)["road_edge"] == pytest.approx(-0.9 * 1.845)
 
 
-def test_the_beginning_of_a_contact_counts_once_and_the_other_one_pays_a_share():
-    config = RewardConfig(
-        collision=0.5, collision_onset=12.0, not_at_fault=0.25, road_edge=0.3, road_edge_onset=5.0
-    )
-    mine, theirs = {"collision": True, "at_fault": True}, {"collision": True}
-    assert terms(config, **mine)["collision"] == pytest.approx(-12.5)
-    assert terms(config, earlier=outcome(**mine), **mine)["collision"] == pytest.approx(-0.5)
-    assert terms(config, **theirs)["collision"] == pytest.approx(-0.25 * 12.5)
-    assert terms(config, rho=1.0, earlier=outcome(**theirs), **theirs)["collision"] == pytest.approx(
-        -0.25 * 0.5 * 2.69
-    )
-    assert terms(config, road_edge=True)["road_edge"] == pytest.approx(-5.3)
-    assert terms(config, earlier=outcome(road_edge=True), road_edge=True)["road_edge"] == pytest.approx(-0.3)
+def test_who_is_not_at_fault_pays_a_share():
+    config = RewardConfig(collision=5.0, not_at_fault=0.25)
+    assert terms(config, collision=True, at_fault=True)["collision"] == pytest.approx(-5.0)
+    assert terms(config, collision=True)["collision"] == pytest.approx(-1.25)
 
 
 @pytest.mark.parametrize("rho", [0.0, 1.0])
