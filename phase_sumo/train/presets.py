@@ -54,7 +54,8 @@ def _phase(paper: TrainConfig) -> TrainConfig:
 
     - A speed above the target is what is dangerous, one below it what traffic does: it costs a tenth.
     - Goals reached slowly count in full, since nobody meets a target speed in a jam.
-    - A goal missed by a lane costs less and a contact more, so that nobody pushes through.
+    - A goal missed by a lane costs less and a contact more, so that nobody pushes through; a contact ends
+      the episode, so that it counts once.
     - Worlds hold what roads are full of: standing and scripted vehicles, stop and go, goals that roll on.
     """
     reward = dataclasses.replace(
@@ -62,7 +63,9 @@ def _phase(paper: TrainConfig) -> TrainConfig:
         speed=0.05,
         speed_below=0.005,
         goal_speed_tolerance=(paper.sim.max_speed, 2.0),
-        collision=2.0,
+        contacts_end=True,
+        collision=12.0,
+        road_edge=6.0,
         distance_unit=100.0,
     )
     scenarios = dataclasses.replace(
