@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 import phase_sumo
 from phase_sumo.errors import PhaseError
+from phase_sumo.files import write_whole
 
 CLONE = Path(phase_sumo.__file__).resolve().parent.parent
 DEMO = CLONE / "scenarios" / "merge" / "merge.sumocfg"
@@ -64,10 +64,8 @@ def _converted(network: Any, keep: Path | None) -> Any:
 
 
 def write_json(path: Path, result: Any) -> None:
-    temporary = path.with_name(path.name + ".part")
     try:
-        temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        os.replace(temporary, path)
+        write_whole(path, (json.dumps(result, indent=1) + "\n").encode())
     except OSError as error:
         raise PhaseError(
             f"{path}: cannot be written ({error.strerror}); choose another --json file"

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_sumo.errors import PhaseError
+from phase_sumo.files import whole
 
 
 @dataclass(frozen=True)
@@ -86,11 +87,8 @@ class Trajectories:
             if f.name in COMPACT:
                 value = value.astype(COMPACT[f.name])
             arrays[f.name] = np.array(json.dumps(value)) if isinstance(value, tuple) else np.asarray(value)
-        path = Path(path)
-        temporary = path.with_name(path.name + ".part")
-        with temporary.open("wb") as file:
+        with whole(Path(path)) as file:
             np.savez_compressed(file, **arrays)
-        temporary.replace(path)
 
     @staticmethod
     def load(path: str | Path) -> Trajectories:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from torch import Tensor
 
 from phase_sumo.config import Actions, Network, SimConfig, from_dict, restore, to_dict
 from phase_sumo.errors import PhaseError
+from phase_sumo.files import write_whole
 from phase_sumo.policy.build import build_network
 from phase_sumo.policy.network import ActorCritic, choose
 from phase_sumo.sim.observation import LAYOUT, Observation
@@ -53,12 +53,10 @@ class Policy:
 
 
 def save_policy(path: str | Path, policy: Policy) -> None:
-    """Write ``policy`` atomically: a reader sees the old file or the whole new one."""
+    """Write ``policy``: a reader sees the old file or the whole new one."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_bytes(policy_bytes(policy))
-    os.replace(temporary, path)
+    write_whole(path, policy_bytes(policy))
 
 
 def policy_bytes(policy: Policy) -> bytes:

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import hashlib
-import os
 import platform
 import subprocess
 import sys
 import tempfile
 import warnings
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
+import platformdirs
 import torch
 from torch import Tensor
 
 from phase_sumo.config import NetworkConfig
+from phase_sumo.files import write_whole
 from phase_sumo.sim.compiler import cpp_compiler
 from phase_sumo.sim.observation import PARTNER, ROAD, Observation
 
@@ -158,15 +160,48 @@ def _compile(command: list[str], source: str) -> Path:
     """The shared library made by ``command``; from the cache, if it was made before."""
     parts = [HERE / source, *sorted(HERE.glob("*.h"))]
     key = "\n".join([*command, _processor(), *(part.read_text(encoding="utf-8") for part in parts)])
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "phase_sumo"
+    cache = _cache()
     library = cache / f"{parts[0].stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
-    if not library.exists():
-        cache.mkdir(parents=True, exist_ok=True)
+    if not _intact(library):
         with tempfile.TemporaryDirectory(dir=cache) as folder:
             made = Path(folder) / library.name
             subprocess.run([*command, str(parts[0]), "-o", str(made)], check=True, capture_output=True)
-            os.replace(made, library)  # whole, even if another process does the same
+            content = made.read_bytes()
+            write_whole(library, content)
+            write_whole(_digest_of(library), hashlib.sha256(content).hexdigest().encode())
     return library
+
+
+@cache
+def _cache() -> Path:
+    """The folder for compiled libraries: the user's, or one for this process where that cannot be had."""
+    try:
+        folder = platformdirs.user_cache_path("phase_sumo", appauthor=False)
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except (OSError, RuntimeError, KeyError) as error:  # the last two: a user without home or name
+        temporary = tempfile.TemporaryDirectory(prefix="phase_sumo-")
+        atexit.register(temporary.cleanup)
+        warnings.warn(
+            f"there is no folder to keep compiled code in ({error}), so it is compiled for this run alone; "
+            f"set XDG_CACHE_HOME to a folder that can be written",
+            stacklevel=2,
+        )
+        return Path(temporary.name)
+
+
+def _digest_of(library: Path) -> Path:
+    return library.with_suffix(".sha256")
+
+
+def _intact(library: Path) -> bool:
+    """Whether a library is there as it was written: one that is cut off ends a process that loads it."""
+    try:
+        digest = _digest_of(library).read_text(encoding="ascii")
+        return hashlib.sha256(library.read_bytes()).hexdigest() == digest
+    except (OSError, UnicodeDecodeError):
+        return False
 
 
 def _processor() -> str:

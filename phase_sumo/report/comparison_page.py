@@ -20,6 +20,7 @@ from phase_sumo.evaluate import measures, surrogate_safety, traffic
 from phase_sumo.evaluate.measures import MEASURES, Measure
 from phase_sumo.evaluate.traffic import Corridor
 from phase_sumo.evaluate.trajectories import Trajectories
+from phase_sumo.files import write_whole
 from phase_sumo.report import playback, plots, road_pictures
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.studies.driver_models import is_phase, label
@@ -91,9 +92,7 @@ def write_report(
         style=Markup(_source(environment, "report.css")),
         script=Markup(_source(environment, "playback.js")),
     )
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(page, encoding="utf-8")
-    temporary.replace(path)
+    write_whole(path, page.encode())
 
 
 def _table(table: Mapping[str, Measure], comparison: dict[str, Any], models: Sequence[str]):

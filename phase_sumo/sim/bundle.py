@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -17,6 +15,7 @@ from numpy.lib.npyio import NpzFile
 
 from phase_sumo.config import ScenarioConfig
 from phase_sumo.errors import PhaseError
+from phase_sumo.files import whole
 from phase_sumo.sim.lane_graph import LaneGraph
 from phase_sumo.sim.lanes import GeoReference, LaneNetwork
 from phase_sumo.sim.pool import StartGoalPool
@@ -89,15 +88,8 @@ def save_bundle(path: str | Path, bundle: MapBundle) -> None:
     for i, pool in enumerate(bundle.pools):
         arrays |= {f"pool{i}.{key}": value for key, value in pool.arrays().items()}
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]  # compressing would cost more than all the rest
-        Path(temporary).chmod(0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with whole(path) as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]  # compressing would cost more than all the rest
 
 
 def load_if_current(path: str | Path, key: str) -> MapBundle | None:

@@ -22,6 +22,7 @@ from phase_sumo.evaluate.measures import MEASURES
 from phase_sumo.evaluate.statistics import CONFIDENCE, summarise
 from phase_sumo.evaluate.traffic import Corridor
 from phase_sumo.evaluate.trajectories import Trajectories
+from phase_sumo.files import write_whole
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.studies.driver_models import parse_models
@@ -158,8 +159,7 @@ def compare(
     if write_report:
         comparison["report"] = str(out / "report.html")
     text = json.dumps(_without_nan(comparison), indent=1)
-    (out / "comparison.json.part").write_text(text + "\n", encoding="utf-8")
-    (out / "comparison.json.part").replace(out / "comparison.json")
+    write_whole(out / "comparison.json", (text + "\n").encode())
     return comparison
 
 

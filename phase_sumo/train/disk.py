@@ -9,29 +9,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 from phase_sumo.errors import PhaseError
+from phase_sumo.files import write_whole
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def write(path: Path, data: bytes) -> None:
-    """Write ``data`` beside ``path``, wait until it is on the disk, move it there.
+    """Write all of ``data`` or nothing, see `files.whole`.
 
     Raises:
         PhaseError: it cannot be written; what was at ``path`` is intact.
     """
-    temporary = path.with_name(path.name + ".part")
-
-    def place() -> None:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-
-    try:
-        guard(path, len(data), place)
-    finally:
-        temporary.unlink(missing_ok=True)
+    guard(path, len(data), lambda: write_whole(path, data))
 
 
 def append(path: Path, data: bytes) -> None:
@@ -54,7 +43,7 @@ def sync(path: Path) -> None:
     guard(path, path.stat().st_size, flush)
 
 
-def guard(path: Path, needed: int, work: Callable[[], None]) -> None:
+def guard(path: Path, needed: int, work: Callable[[], object]) -> None:
     """Do ``work`` that puts ``needed`` bytes into ``path``; what the system refuses becomes one message."""
     try:
         work()

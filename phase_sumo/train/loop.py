@@ -49,6 +49,8 @@ class Trainer:
     ) -> None:
         self.config, self.held_out, self.folder = config, held_out, folder
         self._writes = distributed.rank() == 0
+        if self._writes:
+            folder.claim(resume)
         self.names = [m.name for m in maps]
         torch.manual_seed(config.seed)
         self.network = build_network(config.network, config.actions).to(device)
@@ -91,6 +93,7 @@ class Trainer:
         """Train until ``total_steps`` agent steps or ``stopping()``; a checkpoint is left either way."""
         saved = self.steps
         with ExitStack() as stack:
+            stack.callback(self.folder.release)
             board = None
             if self._writes:
                 board = stack.enter_context(TensorBoardLog(self.folder.path, self.steps))

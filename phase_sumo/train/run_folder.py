@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from filelock import FileLock, Timeout
 
 from phase_sumo.config import TrainConfig, from_dict, to_dict
 from phase_sumo.errors import PhaseError
@@ -18,6 +19,7 @@ from phase_sumo.train import disk
 from phase_sumo.train.curve import Curve
 
 CONFIG, CURVE, CHECKPOINT, POLICY = "config.json", "curve.csv", "checkpoint.pt", "policy.safetensors"
+LOCK = "run.lock"
 
 
 class RunFolder:
@@ -29,10 +31,38 @@ class RunFolder:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self._lock = FileLock(self.path / LOCK, timeout=0)
 
     @property
     def policy(self) -> Path:
         return self.path / POLICY
+
+    def claim(self, resume: bool) -> None:
+        """Keep others from writing here until `release` or the end of the process, however it ends.
+
+        Raises:
+            PhaseError: another process trains here, or there is nothing to ``resume``.
+        """
+        if not resume:
+            disk.guard(self.path / LOCK, 0, lambda: self.path.mkdir(parents=True, exist_ok=True))
+        elif not self.path.is_dir():
+            raise PhaseError(f"{self.path} holds no run to resume; start one without --resume")
+
+        def take() -> None:
+            try:
+                self._lock.acquire()
+            except Timeout:
+                raise PhaseError(
+                    f"{self.path}: another process trains in this folder; wait for its end or name another one"
+                ) from None
+
+        disk.guard(self.path / LOCK, 0, take)
+        for left in self.path.glob("*.part"):  # by a process that was killed
+            left.unlink(missing_ok=True)
+
+    def release(self) -> None:
+        """Others may write here again."""
+        self._lock.release()
 
     def start(self, config: TrainConfig, facts: dict[str, Any], checkpoint: dict[str, Any]) -> None:
         """Begin a new run at its first checkpoint; an existing run is never overwritten."""
@@ -40,7 +70,6 @@ class RunFolder:
             raise PhaseError(
                 f"{self.path} already holds a run; continue it with --resume or name another folder"
             )
-        disk.guard(self.path / CONFIG, 0, lambda: self.path.mkdir(parents=True, exist_ok=True))
         disk.write(self.path / CHECKPOINT, _checkpoint_bytes(checkpoint))
         self.configure(config, facts)
 

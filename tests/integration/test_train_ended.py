@@ -25,6 +25,7 @@ from phase_sumo.train.presets import preset
 from phase_sumo.train.run_folder import RunFolder
 from tests.helpers.curves import read_curve, read_tensorboard
 
+PART = f"{os.getpid()}.part"  # end of the names of files that are being written
 CONFIG = dataclasses.replace(
     preset("smoke"), worlds=8, slots=8, rollout=4, minibatch=32, total_steps=1600, checkpoint_every=1
 )
@@ -117,7 +118,7 @@ def test_an_interrupted_run_leaves_a_checkpoint_of_its_last_update(straight_map,
     assert "peak memory" in said.out and said.err.count("stopped") == 1
 
 
-@pytest.mark.parametrize("name", ["checkpoint.pt.part", "policy.safetensors.part", "curve.csv"])
+@pytest.mark.parametrize("name", [f"checkpoint.pt.{PART}", f"policy.safetensors.{PART}", "curve.csv"])
 def test_a_full_disk_stops_it_with_one_message(straight_map, tmp_path, name: str):
     # the curve is full in the middle of an update, the others at a checkpoint
     config = CONFIG if "part" in name else dataclasses.replace(CONFIG, checkpoint_every=10**9)

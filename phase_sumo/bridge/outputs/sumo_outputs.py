@@ -19,6 +19,7 @@ from phase_sumo.bridge.fleet.event_log import Event, under_policy
 from phase_sumo.bridge.fleet.scene import REMOVED_BY_SUMO, Scene
 from phase_sumo.bridge.outputs.lane_records import LaneChange, LaneChanges, LaneWays, RouteLengths
 from phase_sumo.bridge.sumo.file_names import writes_file, written
+from phase_sumo.files import write_whole
 
 
 def read_output(path: Path) -> Any:
@@ -36,9 +37,7 @@ def read_output(path: Path) -> Any:
 def write_output(path: Path, tree: Any) -> None:
     """Replace the file, in the compression that its name says."""
     content = etree.tostring(tree, xml_declaration=True, encoding="UTF-8") + b"\n"
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
-    part.replace(path)
+    write_whole(path, gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
 
 
 def merge_by_time(root: Any, fresh: Iterable[Any]) -> None:

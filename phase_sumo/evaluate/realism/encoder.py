@@ -19,10 +19,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from phase_sumo.errors import PhaseError
+from phase_sumo.files import write_whole
 from phase_sumo.logs.recording import PERIOD, Recording
 
 STRIDE = 5  # samples of a recording from one token to the next
@@ -172,9 +173,8 @@ class Encoder:
 
     def save(self, path: Path) -> None:
         """Write weights and `Training` as safetensors."""
-        temporary = path.with_name(path.name + ".part")
-        save_file(self.model.state_dict(), temporary, {"training": json.dumps(asdict(self.training))})
-        temporary.replace(path)
+        facts = {"training": json.dumps(asdict(self.training))}
+        write_whole(path, save(self.model.state_dict(), facts))
 
     @staticmethod
     def load(path: str | Path) -> Encoder:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
+from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 
+import platformdirs
 import pytest
 import torch
 from torch import Tensor
@@ -102,24 +105,72 @@ def test_large_scores_do_not_overflow():
     assert same.float().mean() > 0.99  # but where two scores are equal to six digits
 
 
-@compiled
-def test_it_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty folder for compiled code, and nothing loaded yet."""
+    monkeypatch.setattr(platformdirs, "user_cache_path", lambda *args, **kwargs: tmp_path / "cache")
+    forget()
+    yield tmp_path / "cache"
+    forget()
+
+
+def forget() -> None:
     native.load_kernel.cache_clear()
+    native._cache.cache_clear()
+
+
+@compiled
+def test_it_is_compiled_once(cache: Path):
     assert native.load_kernel(SIZES[0], 16, 32) is not None
-    (library,) = (tmp_path / "phase_sumo").iterdir()
+    (library,) = cache.glob("*.so")
     made = library.stat().st_mtime_ns
     native.load_kernel.cache_clear()
     assert native.load_kernel(SIZES[0], 16, 32) is not None
     assert library.stat().st_mtime_ns == made
+
+
+@compiled
+@pytest.mark.parametrize("damage", ["cut off", "another file", "no digest", "digest of something else"])
+def test_a_damaged_library_is_compiled_anew(cache: Path, damage: str):
+    kernel = native.load_kernel(SIZES[0], 16, 32)
+    assert kernel is not None
+    (library,) = cache.glob("*.so")
+    content, digest = library.read_bytes(), library.with_suffix(".sha256")
+    library.unlink()  # this process has it in memory
+    library.write_bytes(content[:5000] if damage == "cut off" else content)
+    if damage == "another file":
+        library.write_bytes(b"\x7fELF" + bytes(9000))
+    if damage == "no digest":
+        digest.unlink()
+    if damage == "digest of something else":
+        digest.write_bytes(b"\xff" * 64)
     native.load_kernel.cache_clear()
+    assert native.load_kernel(SIZES[0], 16, 32) is not None
+    assert library.read_bytes() == content
+    assert digest.read_text() == hashlib.sha256(content).hexdigest()
+
+
+@compiled
+def test_without_a_folder_to_keep_it_in_it_is_compiled_for_the_run(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+):
+    cache.write_text("a file where the folder should be")
+    with pytest.warns(UserWarning, match="XDG_CACHE_HOME"):
+        assert native.load_kernel(SIZES[0], 16, 32) is not None
+
+    def homeless(*args: object, **kwargs: object) -> None:
+        raise RuntimeError("Could not determine home directory.")
+
+    forget()
+    monkeypatch.setattr(platformdirs, "user_cache_path", homeless)
+    with pytest.warns(UserWarning, match="home directory"):
+        assert native.load_kernel(SIZES[0], 16, 32) is not None
 
 
 @pytest.mark.parametrize("missing", ["compiler", "success", "vectors"])
-def test_without_the_kernel_torch_does_it(missing: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+@pytest.mark.usefixtures("cache")
+def test_without_the_kernel_torch_does_it(missing: str, monkeypatch: pytest.MonkeyPatch):
     config = NetworkConfig(width=24, heads=3) if missing == "vectors" else SIZES[0]
-    native.load_kernel.cache_clear()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     if missing == "compiler":
         monkeypatch.setattr(native, "cpp_compiler", lambda: None)
     if missing == "success":
@@ -131,7 +182,6 @@ def test_without_the_kernel_torch_does_it(missing: str, monkeypatch: pytest.Monk
     net = encoder(config)
     with pytest.warns(match="no such flag") if missing == "success" else nullcontext():
         assert torch.equal(net(seen()), net.reference(seen()))
-    native.load_kernel.cache_clear()
 
 
 def test_softmax_with_zero_leaves_room_for_nothing():

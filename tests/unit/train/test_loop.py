@@ -39,6 +39,7 @@ def test_a_run_leaves_config_curve_checkpoint_and_policy(straight_map, tmp_path)
         "config.json",
         "curve.csv",
         "policy.safetensors",
+        "run.lock",
     ]
     rows = read_curve(tmp_path / "run")
     assert [float(r["steps"]) for r in rows] == sorted(float(r["steps"]) for r in rows)
@@ -181,3 +182,16 @@ def test_config_round_trip(name: str):
 def test_unknown_settings_are_refused():
     with pytest.raises(PhaseError, match="no setting 'speed'"):
         from_dict(TrainConfig, {"speed": 1})
+
+
+def test_two_cannot_train_in_one_folder(straight_map, tmp_path):
+    first = Trainer(TINY, [straight_map], [], RunFolder(tmp_path))
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    for resume in (False, True):
+        with pytest.raises(PhaseError, match="another process trains in this folder"):
+            Trainer(TINY, [straight_map], [], RunFolder(tmp_path), resume=resume)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+    (tmp_path / "checkpoint.pt.1.part").write_bytes(b"left by a process that was killed")
+    first.run()
+    Trainer(TINY, [straight_map], [], RunFolder(tmp_path), resume=True)
+    assert not list(tmp_path.glob("*.part"))
