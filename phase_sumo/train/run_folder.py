@@ -53,7 +53,7 @@ class RunFolder:
                 self._lock.acquire()
             except Timeout:
                 raise PhaseError(
-                    f"{self.path}: another process trains in this folder; wait for its end or name another one"
+                    f"{self.path}: another process trains in this folder; wait for it or name another one"
                 ) from None
 
         disk.guard(self.path / LOCK, 0, take)
