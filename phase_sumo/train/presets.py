@@ -64,8 +64,8 @@ def _phase(paper: TrainConfig) -> TrainConfig:
         speed_below=0.005,
         goal_speed_tolerance=(paper.sim.max_speed, 2.0),
         contacts_end=True,
-        collision=12.0,
-        road_edge=6.0,
+        collision=20.0,
+        road_edge=10.0,
         distance_unit=100.0,
     )
     scenarios = dataclasses.replace(
