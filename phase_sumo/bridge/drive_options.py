@@ -29,6 +29,7 @@ class DriveOptions:
         alpha: longitudinal action range of every vehicle, or bounds to draw it from (see `Choice`).
         time_gap: s to the leader that target speeds leave, 0 for the policy alone; None takes each vType's
             tau.
+        guard: keep PHASE vehicles from what is unsafe, see `phase_sumo.sim.guard`.
         phase: False leaves every vehicle to SUMO, whatever is said of it.
         model: SUMO car-following model (``"idm"``, ``"krauss"`` ...) for all vehicles that SUMO drives; None
             leaves what the scenario says.
@@ -45,6 +46,7 @@ class DriveOptions:
     deterministic: bool = False
     alpha: float | tuple[float, float] | None = None
     time_gap: float | None = None
+    guard: bool = True
     phase: bool = True
     model: str | None = None
     roads: Literal["freeway", "all"] = "freeway"
@@ -66,6 +68,7 @@ class DriveOptions:
             explicit=tuple(self.explicit),
             deterministic=self.deterministic,
             time_gap=self.time_gap,
+            guard=self.guard,
         )
 
     def network(self, path: str | Path) -> LaneNetwork:

@@ -15,6 +15,7 @@ from phase_sumo.bridge.fleet.contacts import ContactMonitor
 from phase_sumo.bridge.fleet.drivers import Driver, Drivers
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.fleet import Fleet
+from phase_sumo.bridge.fleet.guarded import tally
 from phase_sumo.bridge.fleet.parameters import Parameters
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.scene import Scene
@@ -161,6 +162,7 @@ class PhaseFleet(StepListener):
         target_speed: float | None = None,
         time_gap: float | None = None,
         policy: str | Path | None = None,
+        guard: bool | None = None,
     ) -> None:
         """Set the vehicle's ``phase.*`` parameters and drive by them from the next step on.
 
@@ -171,10 +173,12 @@ class PhaseFleet(StepListener):
             target_speed: m/s, 3..40.
             time_gap: s to the leader that the target speed leaves, up to 5; 0 to take no heed of leaders.
             policy: file.
+            guard: keep it from what is unsafe.
         """
         fleet, api = self._checked(vehicle), self.simulation.api.vehicle
         file = None if policy is None else Path(policy).resolve()
         given = {"alpha": alpha, "target_speed": target_speed, "time_gap": time_gap, "policy": file}
+        given["guard"] = None if guard is None else str(guard).lower()
         texts = {f"phase.{name}": str(value) for name, value in given.items() if value is not None}
         before = {key: api.getParameter(vehicle, key) for key in texts}
         for key, text in texts.items():
@@ -219,6 +223,7 @@ class PhaseFleet(StepListener):
             "phase_at_fault_collisions": sum(c.phase_at_fault for c in collisions),
             "collisions_after_hand_back": sum(c.after_hand_back for c in collisions),
             "off_road": len(events.of("road edge")),
+            **tally(trips, fleet.guarded_decisions if fleet else 0),
             "phase_vehicle_km": sum(t.policy_metres for t in trips) / 1000.0,
             "sim_seconds": self._last - self._start,
             "policy_cpu_us_per_vehicle_step": fleet.cpu_per_decision if fleet else 0.0,

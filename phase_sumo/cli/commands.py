@@ -183,6 +183,7 @@ def drive_options(args: argparse.Namespace) -> DriveOptions:
         deterministic=args.deterministic,
         alpha=alpha_bounds(args.alpha),
         time_gap=args.time_gap,
+        guard=args.guard,
         seed=args.seed,
         end=args.end,
         sumo_options=tuple(args.sumo_options),

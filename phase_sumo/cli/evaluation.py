@@ -192,7 +192,7 @@ def search(args: argparse.Namespace) -> Any:
     from phase_sumo.studies import search as encounters
 
     policy, out = load_policy(args.policy), Path(args.out)
-    options = DriveOptions(policy=policy, sumo_options=args.sumo_options)
+    options = DriveOptions(policy=policy, guard=False, sumo_options=args.sumo_options)
     scene = encounters.read_scene(scenario_of(args), options, args.time, args.around, args.radius)
     print(f"{len(scene.vehicles)} vehicles around {scene.vehicles[0].id}")
     before = encounters.drive_scene(scene.net, scene.vehicles, args.seconds, policy, args.criterion)

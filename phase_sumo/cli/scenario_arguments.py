@@ -55,6 +55,13 @@ def add_driving(sub: argparse.ArgumentParser, own_seed: bool = True) -> None:
         help="that target speeds leave to the leader; 0: the policy alone; each vType's tau if left out",
     )
     sub.add_argument(
+        "--guard",
+        type=flag,
+        default=True,
+        metavar="on/off",
+        help="keep PHASE vehicles from what is unsafe whatever the policy wants; on if left out",
+    )
+    sub.add_argument(
         "-e", "--end", type=time, metavar="S", help="stop at this time; the scenario's end if left out"
     )
     if own_seed:

@@ -40,13 +40,17 @@ class Policy:
     info: dict[str, Any]
 
     @torch.no_grad()
+    def scores(self, observation: Observation) -> Tensor:
+        """Logits [A, actions] of the observing agents."""
+        return self.network.logits(observation)
+
     def act(self, observation: Observation, generator: torch.Generator | None = None) -> Tensor:
         """Action tokens [A] of the observing agents.
 
         Args:
             generator: samples from the policy with it; None takes the most probable action.
         """
-        logits = self.network.logits(observation)
+        logits = self.scores(observation)
         if generator is None:
             return choose(logits)
         return choose(logits, torch.rand(len(logits), generator=generator, device=logits.device))

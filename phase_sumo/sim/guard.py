@@ -53,6 +53,7 @@ from phase_sumo.sim.worlds import Worlds
 
 BUILD_UP = (0.25, 0.5, 1.0)  # shares of the emergency jerk that the guard may brake with
 PER_METRE = 1e4  # nats that a metre of shortage outweighs
+SLACK = 0.1  # m by which a shortage may come from rounding and from how well the lane is known
 # nats by which running along the lane, and braking harder while doing so, come after other actions
 STRAIGHT, HARDER = 1.0, 5.0
 
@@ -139,8 +140,11 @@ def _instead(
     all_rates = torch.cat((rates, back), 1)
     shortage, reason = judge(around, edges, all_jerks, all_rates, sim, config)
     value = _preference(scores.view(len(scores), -1, columns), config)
-    # of equally unsafe ones the preferred
-    value = torch.where(shortage > 0.0, value - PER_METRE * (1.0 + shortage), value)
+    # who has been safe is so in the fallback, which is judged again in every step of it
+    shortage[:, -1, -1] = (shortage[:, -1, -1] - SLACK).clamp_min(0.0)
+    # of about equally unsafe ones the preferred
+    steps = torch.ceil(shortage / SLACK) * SLACK
+    value = torch.where(shortage > 0.0, value - PER_METRE * (1.0 + steps), value)
     best = value.flatten(1).argmax(1, keepdim=True)
     along, across = best // (columns + 1), best % (columns + 1)
     rate = all_rates.gather(1, across)

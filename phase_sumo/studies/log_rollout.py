@@ -63,7 +63,7 @@ def roll_out(
         with Session(args, folder) as simulation:
             _place(simulation, names, start)
             if phase:
-                fleet = PhaseFleet(simulation.api, driver, share=1.0, roads="all", seed=seed)
+                fleet = PhaseFleet(simulation.api, driver, share=1.0, roads="all", guard=False, seed=seed)
                 try:
                     samples = _drive(
                         simulation, fleet.scene, fleet.observe, fleet.drive, names, start, window.steps

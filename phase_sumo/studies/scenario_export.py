@@ -47,7 +47,8 @@ class SceneVehicle:
 def write_scene(folder: Path, name: str, net: Path, vehicles: Sequence[SceneVehicle], seconds: float) -> Path:
     """Write ``NAME.net.xml``, ``NAME.rou.xml`` and ``NAME.sumocfg``; all vehicles depart at 0 s as they are.
 
-    Their target speeds take no heed of leaders (``phase.time_gap`` 0), so that contexts alone decide.
+    Their target speeds take no heed of leaders (``phase.time_gap`` 0) and they have no guard, so that policy
+    and contexts alone decide.
 
     Args:
         net: network file, copied.
@@ -79,7 +80,7 @@ def write_scene(folder: Path, name: str, net: Path, vehicles: Sequence[SceneVehi
 def _vehicle(v: SceneVehicle) -> list[str]:
     own = quoteattr(f"type_{v.id}")
     params = {"phase.type": v.kind, "phase.alpha": f"{v.alpha:.4f}"}
-    params |= {"phase.target_speed": f"{v.target_speed:.3f}", "phase.time_gap": "0"}
+    params |= {"phase.target_speed": f"{v.target_speed:.3f}", "phase.time_gap": "0", "phase.guard": "off"}
     return [
         f'    <vType id={own} vClass={quoteattr(v.vclass)} length="{v.length:.2f}" '
         f'width="{v.width:.2f}" maxSpeed="40">',

@@ -5,11 +5,19 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from phase_sumo.config import ActionConfig, SimConfig
+from phase_sumo.config import ActionConfig, Actions, SimConfig
 from phase_sumo.sim.observation import LAYOUT, Observation
 
 EGO = {f.name: (i, f.scale) for i, f in enumerate(LAYOUT["ego"])}
 PARTNER = {f.name: (i, f.scale) for i, f in enumerate(LAYOUT["partner"])}
+
+
+def liking(token: Tensor, actions: Actions) -> Tensor:
+    """[A, actions] scores, the highest for ``token`` [A], and those near it on the lattice before others."""
+    along, across = (torch.tensor(axis) for axis in actions.axes)
+    jerk, rate = along[token // len(across)], across[token % len(across)]
+    along, across = (along - jerk.unsqueeze(1)).abs(), (across - rate.unsqueeze(1)).abs()
+    return -(along.unsqueeze(2) + 20.0 * across.unsqueeze(1)).flatten(1)
 
 
 class Standin:
@@ -24,7 +32,11 @@ class Standin:
         self.sim = SimConfig()
         self.actions = ActionConfig()
 
-    def act(self, observation: Observation, generator: torch.Generator | None = None) -> Tensor:
+    def scores(self, observation: Observation) -> Tensor:
+        """Logits [A, actions], the highest for what it wants."""
+        return liking(self.tokens(observation), self.actions)
+
+    def tokens(self, observation: Observation) -> Tensor:
         """Action tokens [A]."""
 
         def ego(name: str) -> Tensor:

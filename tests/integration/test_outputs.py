@@ -75,7 +75,7 @@ def mixed(tmp_path_factory):
     ]
     result = run_scenario(
         write_scenario(folder), policy=Standin(reckless=True), alpha=0.5, seed=1, share=0.5, time_gap=0.0,
-        end=50, sumo_options=options, output_dir=folder / "ours", record=False,
+        guard=False, end=50, sumo_options=options, output_dir=folder / "ours", record=False,
     )  # fmt: skip
     return folder, result, read_events(folder / "ours" / "events.csv")
 
@@ -316,7 +316,7 @@ def account_run(folder, additional="", network=NETWORK, end=40, share=1.0, deman
     ]
     result = run_scenario(
         write_scenario(folder, 0.1, network, additional, demand), policy=driver or Standin(),
-        seed=1, end=end, share=share, sumo_options=options,
+        seed=1, end=end, share=share, sumo_options=options, guard=driver is None,
         output_dir=folder / "out", record=False,
     )  # fmt: skip
     return settled(folder, result)
@@ -356,7 +356,7 @@ def test_accounts_with_routes_that_end_early(tmp_path):
 class Swerve(Standin):
     """Turns left whatever comes."""
 
-    def act(self, observation, generator=None):
+    def tokens(self, observation):
         steady = self.actions.jerk.index(0.0) * len(self.actions.steering_rate)
         left = steady + len(self.actions.steering_rate) - 1
         return torch.full((len(observation.ego),), left)

@@ -9,6 +9,7 @@ from phase_sumo.bridge.fleet.event_log import read_events
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.config import ActionConfig, SimConfig
 from tests.helpers.scenario_files import write_scenario
+from tests.helpers.standin import liking
 
 VEHICLE = (
     '<vehicle id="{}" type="car" depart="0" departLane="{}" departPos="{}" departSpeed="{}" '
@@ -23,16 +24,17 @@ class Unmoved:
 
     sim, actions = SimConfig(), ActionConfig()
 
-    def act(self, observation, generator=None):
+    def scores(self, observation):
         jerk, rate = self.actions.jerk, self.actions.steering_rate
-        return torch.full((len(observation.ego),), jerk.index(0.0) * len(rate) + rate.index(0.0))
+        still = jerk.index(0.0) * len(rate) + rate.index(0.0)
+        return liking(torch.full((len(observation.ego),), still), self.actions)
 
 
 def drive(folder, *vehicles, end):
     routes = "".join(VEHICLE.format(*vehicle) for vehicle in vehicles)
     out = folder / "out"
     result = run_scenario(
-        write_scenario(folder, routes), policy=Unmoved(), end=end, output_dir=out, time_gap=0.0
+        write_scenario(folder, routes), policy=Unmoved(), end=end, output_dir=out, time_gap=0.0, guard=False
     )
     return result, read_events(out / "events.csv")
 

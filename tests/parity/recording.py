@@ -22,6 +22,7 @@ from phase_sumo.bridge.fleet.table import STATE, TASK, VehicleTable
 from phase_sumo.bridge.sumo.conventions import ShapeRow
 from phase_sumo.bridge.sumo.options import command, read_scenario
 from phase_sumo.bridge.sumo.session import Session
+from phase_sumo.policy.network import choose
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.sim.observation import Observation
 
@@ -84,21 +85,21 @@ class Recorder:
         self.sim, self.actions = driver.sim, driver.actions
         self._driver, self._table, self._kept = driver, table, kept
 
-    def act(self, observation: Observation, generator: torch.Generator | None = None) -> Tensor:
+    def scores(self, observation: Observation) -> Tensor:
         table = self._table
         rows = np.flatnonzero(table.controlled)
-        tokens = self._driver.act(observation)
+        scores = self._driver.scores(observation)
         others = np.flatnonzero(table.active & ~table.controlled)
         self._kept.decisions.append(
             Decision(
                 [table.ids[row] for row in rows],
                 observation.map(torch.clone),
-                tokens.clone(),
+                choose(scores),
                 {name: table[name][rows].copy() for name in TASK},
                 {table.ids[row]: state_of(table, row) for row in others.tolist()},
             )
         )
-        return tokens
+        return scores
 
 
 def state_of(table: VehicleTable, row: int) -> dict[str, Any]:
@@ -121,7 +122,7 @@ def record(
         scene = Scene(session, edges)
         monitor = ContactMonitor(scene.events)
         drivers = Drivers(Recorder(driver, scene.table, kept))
-        fleet = Fleet(scene, Road(network), drivers, choice or Choice(alpha=0.8, time_gap=0.0))
+        fleet = Fleet(scene, Road(network), drivers, choice or Choice(alpha=0.8, time_gap=0.0, guard=False))
         while True:
             session.step()
             time = session.time

@@ -110,7 +110,7 @@ def test_collisions_and_road_edges(tmp_path, monkeypatch):
     monkeypatch.setattr(adoption, "TOO_FAST", np.inf)  # reckless ones are meant to be PHASE's from the start
     network, driver = read_network(NETWORKS / "f12_scurve2.net.xml"), Standin(reckless=True)
     cfg = write_scenario(tmp_path, "f12_scurve2", RECKLESS_SCENE)
-    kept = record(cfg, network, driver, until=7.0, choice=Choice(alpha=0.8, time_gap=0.0))
+    kept = record(cfg, network, driver, until=7.0, choice=Choice(alpha=0.8, time_gap=0.0, guard=False))
     replay = Replay(network, kept, check_start(kept), driver.sim)
     sumo_after = {s.decisions: s for s in kept.steps}
     collided: set[str] = set()

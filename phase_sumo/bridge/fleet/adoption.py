@@ -196,12 +196,13 @@ class Adoption:
         return member
 
     def read_context(self, vehicle: str, row: int, member: Member) -> None:
-        """Alpha, target speed, time gap and policy as the vehicle's parameters say now."""
+        """Alpha, target speed, time gap, policy and guard as the vehicle's parameters say now."""
         context = Parameters(self._api, vehicle, self._scene.types[vehicle]).context()
         try:
             self._table.driver[row] = self._drivers.number(context.policy)
         except PhaseError as error:
             raise PhaseError(f"vehicle {vehicle!r}: parameter phase.policy: {error}") from None
+        self._table.guarded[row] = self._choice.guard if context.guard is None else context.guard
         alpha = context.alpha
         self._table["alpha"][row] = self._choice.alpha_of(vehicle) if alpha is None else alpha
         member.target_speed = context.target_speed or 0.0

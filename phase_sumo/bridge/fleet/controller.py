@@ -17,15 +17,19 @@ from torch import Tensor
 
 from phase_sumo.bridge.fleet.drivers import Driver, Drivers, Member
 from phase_sumo.bridge.fleet.goals import GoalPlanner
+from phase_sumo.bridge.fleet.guarded import Guarding
 from phase_sumo.bridge.fleet.occupancy import Occupancy
 from phase_sumo.bridge.fleet.road import Road
+from phase_sumo.bridge.fleet.route_views import RouteLanes
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.bridge.fleet.target_speeds import TargetSpeeds
 from phase_sumo.config import SimConfig
 from phase_sumo.errors import PhaseError
+from phase_sumo.policy.network import choose
 from phase_sumo.sim import kinematics
 from phase_sumo.sim.near import pairs_within, ranges
 from phase_sumo.sim.observation import Appearance, appearance, observe
+from phase_sumo.sim.path import Sight
 from phase_sumo.sim.vehicles import VehicleState
 
 TOLERANCE = 1e-6  # s
@@ -96,11 +100,12 @@ class Controller:
         steps: Steps,
         speeds: TargetSpeeds,
         planner: GoalPlanner,
+        guarding: Guarding,
     ) -> None:
         self._road, self._table, self._drivers, self._steps = road, table, drivers, steps
-        self._speeds, self._planner = speeds, planner
+        self._speeds, self._planner, self._guarding = speeds, planner, guarding
         self._node = np.full(len(table), -1, np.int64)  # at the last decision
-        self._seen: list[Tensor] = []  # view and direction by route
+        self._sight: Sight  # of all rows at the last decision
         self.cpu = 0.0
         self.decisions = 0
 
@@ -132,8 +137,7 @@ class Controller:
                 if k:  # those of the first move were set when SUMO's step was followed
                     self._speeds.update(node, self._planner.beside(node), occupancy, members)
                 self._planner.update(now, node, occupancy, routes)
-                seen = self._road.views.seen(table, node, routes)
-                self._seen = [torch.from_numpy(values) for values in seen]
+                self._sight = self._look(node, routes)
             self._move(rows, decides)
             node = self.track(node, rows)
             if k + 1 < steps.per_sumo_step:
@@ -176,18 +180,27 @@ class Controller:
         shape, state, task = table.shape().map(own), table.state().map(own), table.task().map(own)
         index, mask = self._neighbours(rows, driver.sim)
         others = every.map(lambda values: values[0, index])
-        road = self._road.map
-        layer = np.where(self._node[rows] >= 0, self._road.layer[self._node[rows]], 0)
-        cell = road.cell(torch.from_numpy(layer), state.x, state.y)
-        by_route, yaw = (values[driven] for values in self._seen)
-        view = torch.where(by_route >= 0, by_route, road.cell_view[cell])
-        yaw = torch.where(by_route >= 0, yaw, road.cell_yaw[cell])
-        seen = observe(shape, state, task, others, mask, road, view, yaw, driver.sim)
+        sight = self._sight.take(driven)
+        seen = observe(shape, state, task, others, mask, sight.road_map, sight.view, sight.yaw, driver.sim)
         with torch.autocast("cpu", torch.bfloat16, enabled=BF16):
-            tokens = driver.act(seen)
-        jerk, rate = kinematics.command(tokens, state, task.alpha, driver.actions, driver.sim.dt)
+            scores = driver.scores(seen)
+        command = kinematics.command(choose(scores), state, task.alpha, driver.actions, driver.sim.dt)
+        jerk, rate = self._guarding.correct(scores, command, rows, index, mask, self._sight, driver)
         moves = self._steps.per_decision
         return kinematics.advance(shape, state, moves * jerk, moves * rate, self._of_a_move(driver.sim))
+
+    def _look(self, node: np.ndarray, routes: dict[str, RouteLanes]) -> Sight:
+        """The road as all rows see it: from their place, or along their route where that shows another."""
+        road, table, graph = self._road.map, self._table, self._road.graph
+        layer = torch.from_numpy(np.where(node >= 0, self._road.layer[node], 0))
+        cell = road.cell(layer, torch.from_numpy(table["x"]), torch.from_numpy(table["y"]))
+        by_route, at = self._road.views.seen(table, node, routes)
+        own = torch.from_numpy(by_route >= 0)
+        along = torch.from_numpy(np.column_stack((graph.node_xy[at], graph.node_yaw[at])).astype(np.float32))
+        place = torch.cat((road.cell_node[cell], road.cell_yaw[cell].unsqueeze(1)), 1)
+        x, y, yaw = torch.where(own.unsqueeze(1), along, place).unbind(1)
+        view = torch.where(own, torch.from_numpy(by_route), road.cell_view[cell])
+        return Sight(self._road.map, view, x, y, yaw)
 
     def _hold(self, rows: np.ndarray, driver: Driver) -> VehicleState:
         """States [len(rows)] after a move between two decisions, which the histories do not count."""

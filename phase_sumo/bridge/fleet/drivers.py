@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from phase_sumo.bridge.fleet.event_log import Event
@@ -31,8 +30,8 @@ class Driver(Protocol):
     @property
     def actions(self) -> Actions: ...
 
-    def act(self, observation: Observation, generator: torch.Generator | None = None) -> Tensor:
-        """Action tokens [A] of the observing agents."""
+    def scores(self, observation: Observation) -> Tensor:
+        """Logits [A, actions] of the observing agents; the vehicle takes the action with the highest."""
         ...
 
 

@@ -14,6 +14,7 @@ from phase_sumo.bridge.fleet.controller import Controller, Steps
 from phase_sumo.bridge.fleet.drivers import Drivers, Member
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.goals import GoalPlanner
+from phase_sumo.bridge.fleet.guarded import Guarding
 from phase_sumo.bridge.fleet.hand_back import HandBack
 from phase_sumo.bridge.fleet.lane_rules import LaneRules
 from phase_sumo.bridge.fleet.occupancy import STANDING, Occupancy, standing_rooms
@@ -60,8 +61,9 @@ class Fleet:
         self._rules = LaneRules(self._api, self._road)
         self._ways = RightOfWay(self._api, self._road)
         self._speeds = TargetSpeeds(self._road, scene.table, self._ways.yields)
+        self._guarding = Guarding(scene.table, scene.trips)
         self._controller = Controller(
-            self._road, scene.table, drivers, self._steps, self._speeds, self._planner
+            self._road, scene.table, drivers, self._steps, self._speeds, self._planner, self._guarding
         )
         self._members: dict[str, Member] = {}
         self._released: set[str] = set()
@@ -79,6 +81,11 @@ class Fleet:
         """CPU microseconds per vehicle and policy step."""
         return 1e6 * self._controller.cpu / max(self._controller.decisions, 1)
 
+    @property
+    def guarded_decisions(self) -> int:
+        """Decisions that the guard looked at."""
+        return self._guarding.decisions
+
     def report(self) -> dict[str, Any]:
         """Counts beyond the common ones."""
         happened = self._scene.events.counts()
@@ -88,6 +95,7 @@ class Fleet:
             "hand_backs": happened["hand-back"],
             "lane_change_goals": self._planner.changes_wanted,
             "decisions": self._controller.decisions,
+            "guard_cpu_us_per_vehicle_step": 1e6 * self._guarding.cpu / max(self._guarding.decisions, 1),
         }
 
     def take(self, vehicle: str) -> None:

@@ -49,6 +49,7 @@ class Choice:
         deterministic: meet the share exactly by counting vehicles instead of drawing.
         time_gap: s to the leader that target speeds leave, 0 to take no heed of leaders; None is each
             vType's tau.
+        guard: keep vehicles from what is unsafe, see `sim.guard`.
     """
 
     share: float | None = None
@@ -58,6 +59,7 @@ class Choice:
     explicit: tuple[str, ...] = ()
     deterministic: bool = False
     time_gap: float | None = None
+    guard: bool = True
 
     def __post_init__(self) -> None:
         low, high = self.alpha_bounds
@@ -132,7 +134,7 @@ SLACK = 0.1  # m that the vType's box may differ from ours
 # every parameter of ours that a vehicle or vType may have
 KEYS = (
     *("phase.device", "has.phase.device", "device.phase.probability", "phase.type", "phase.alpha"),
-    *("phase.target_speed", "phase.time_gap", "phase.policy", "phase.hitch"),
+    *("phase.target_speed", "phase.time_gap", "phase.policy", "phase.guard", "phase.hitch"),
     *(f"phase.{name}" for name in BODY | TRAILER),
 )
 
@@ -146,12 +148,14 @@ class Context:
         target_speed: m/s.
         time_gap: s to the leader that the target speed leaves, 0 to take no heed of leaders.
         policy: file.
+        guard: keep it from what is unsafe.
     """
 
     alpha: float | None
     target_speed: float | None
     time_gap: float | None
     policy: str | None
+    guard: bool | None
 
 
 class Parameters:
@@ -177,6 +181,7 @@ class Parameters:
             target_speed=self.number("phase.target_speed", TARGET_SPEEDS),
             time_gap=self.number("phase.time_gap", TIME_GAPS),
             policy=self._text("phase.policy") or None,
+            guard=self._flag("phase.guard", self._text("phase.guard")),
         )
 
     def shape(self) -> tuple[ShapeRow, Kind | None]:

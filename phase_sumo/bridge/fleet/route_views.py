@@ -103,17 +103,17 @@ class RouteViews:
 
     def seen(
         self, table: VehicleTable, node: IntArray, routes: dict[str, RouteLanes]
-    ) -> tuple[IntArray, NDArray[np.float32]]:
-        """Which row of the map's views each vehicle sees because of its route, and the way its lane points.
+    ) -> tuple[IntArray, IntArray]:
+        """Which row of the map's views each vehicle sees because of its route, and from where.
 
         Args:
             node: [N] node of each row's front bumper, -1 off the road.
             routes: of the vehicles under the policy.
 
         Returns:
-            [N] row, -1 where the place shows the road, and [N] rad where it does not.
+            [N] row, -1 where the place shows the road, and [N] node of the lane where it does not.
         """
-        result, yaw = np.full(len(node), -1), np.zeros(len(node), np.float32)
+        result, places = np.full(len(node), -1), np.zeros(len(node), np.int64)
         rows = np.array([table.row_of[vehicle] for vehicle in routes], np.int64)
         views = [route.view for route in routes.values()]
         on = np.flatnonzero(node[rows] >= 0)
@@ -124,8 +124,8 @@ class RouteViews:
         own = [views[k][i] for k, i in zip(on.tolist(), lane, strict=True)]
         first, end, row = np.array(own, np.int64).reshape(-1, 3).T
         result[rows] = np.where((at >= first) & (at < end), row + at - first, -1)
-        yaw[rows] = self._graph.node_yaw[at]
-        return result, yaw
+        places[rows] = at
+        return result, places
 
     def _parts(
         self, onward: IntArray, lanes: IntArray

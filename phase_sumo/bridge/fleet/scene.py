@@ -30,6 +30,11 @@ class Trip:
         policy_seconds, freeway_seconds, seconds: under the policy, on the observed road, and in total.
         policy_metres: driven under the policy.
         after_hand_back: collisions up to 10 s after the policy gave it back.
+        guard_leader, guard_beside, guard_road_edge, guard_standing: decisions in which the guard did not let
+            the policy do what it wanted, by reason (see `sim.hazards.Reason`).
+        guard_unsafe: those in which nothing was safe.
+        guard_seconds: their time.
+        guard_braking: m/s^2, the guard's changes of acceleration beside those that the policy wanted, summed.
         adopted, finished: the policy drove it at some time; the policy drove it to its arrival.
     """
 
@@ -44,6 +49,13 @@ class Trip:
     seconds: float = 0.0
     policy_metres: float = 0.0
     after_hand_back: int = 0
+    guard_leader: int = 0
+    guard_beside: int = 0
+    guard_road_edge: int = 0
+    guard_standing: int = 0
+    guard_unsafe: int = 0
+    guard_seconds: float = 0.0
+    guard_braking: float = 0.0
     adopted: bool = False
     finished: bool = False
 

@@ -23,6 +23,7 @@ class VehicleTable:
         ids: vehicle id of each row, "" for an empty one.
         row_of: id -> row.
         active, controlled: [N] bool; controlled rows are moved by the policy, the others by SUMO.
+        guarded: [N] bool, the guard looks after a controlled row.
         driver: [N] number of the policy that moves a controlled row, see `Drivers`.
         wanted_speed: [N] m/s that the driver of a controlled row would choose on a free road.
         origin: [2] m, what to add to its positions to get SUMO's.
@@ -35,6 +36,7 @@ class VehicleTable:
         self.row_of: dict[str, int] = {}
         self.active = np.zeros(0, bool)
         self.controlled = np.zeros(0, bool)
+        self.guarded = np.zeros(0, bool)
         self.driver = np.zeros(0, np.int64)
         self.wanted_speed = np.zeros(0)
         self.arrays: dict[str, np.ndarray] = {}
@@ -62,6 +64,7 @@ class VehicleTable:
             self.arrays[name] = grown
         extra = np.zeros(capacity - old, bool)
         self.active, self.controlled = np.r_[self.active, extra], np.r_[self.controlled, extra]
+        self.guarded = np.r_[self.guarded, extra]
         self.driver = np.r_[self.driver, np.zeros(capacity - old, np.int64)]
         self.wanted_speed = np.r_[self.wanted_speed, np.zeros(capacity - old)]
         self.ids += [""] * (capacity - old)
@@ -77,7 +80,7 @@ class VehicleTable:
             self.arrays[name][row] = 0.0
         for name in SHAPE:
             self.arrays[name][row] = getattr(shape, name)
-        self.active[row], self.controlled[row] = True, False
+        self.active[row], self.controlled[row], self.guarded[row] = True, False, False
         return row
 
     def remove(self, vehicle: str) -> None:

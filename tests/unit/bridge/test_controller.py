@@ -8,6 +8,7 @@ import pytest
 from phase_sumo.bridge.fleet.controller import SAME_WAY, Controller, Steps
 from phase_sumo.bridge.fleet.drivers import Drivers
 from phase_sumo.bridge.fleet.goals import GoalPlanner
+from phase_sumo.bridge.fleet.guarded import Guarding
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.table import VehicleTable
 from phase_sumo.bridge.fleet.target_speeds import TargetSpeeds
@@ -33,7 +34,8 @@ def neighbours(road, x, y, yaw, controlled):
     rows = np.flatnonzero(table.controlled)
     speeds = TargetSpeeds(road, table, np.zeros(len(road.count), bool))
     steps = Steps.fit(0.1, 0.1)
-    controller = Controller(road, table, Drivers(Standin()), steps, speeds, GoalPlanner(road, table))
+    planner, guarding = GoalPlanner(road, table), Guarding(table, {})
+    controller = Controller(road, table, Drivers(Standin()), steps, speeds, planner, guarding)
     controller._node = np.full(len(table), -1)  # on no lane: told by the direction
     index, mask = (t.numpy() for t in controller._neighbours(rows, Standin().sim))
     assert (np.diff(mask.astype(int), axis=1) <= 0).all()  # real ones come first

@@ -9,6 +9,7 @@ import torch
 from phase_sumo.bridge.fleet.controller import Controller, Steps
 from phase_sumo.bridge.fleet.drivers import Drivers
 from phase_sumo.bridge.fleet.goals import GoalPlanner
+from phase_sumo.bridge.fleet.guarded import Guarding
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.table import STATE, VehicleTable
 from phase_sumo.bridge.fleet.target_speeds import TargetSpeeds
@@ -17,6 +18,7 @@ from phase_sumo.config import ActionConfig, SimConfig
 from phase_sumo.errors import PhaseError
 from phase_sumo.sim.observation import LAYOUT, Observation
 from phase_sumo.sim.synthetic_road import freeway
+from tests.helpers.standin import liking
 
 CAR, SEMI = shape_from_type("passenger", 5.0, 1.8), shape_from_type("trailer", 22.0, 2.6)
 SPEEDS = (0.0, 8.0, 35.0)
@@ -84,9 +86,9 @@ class Script:
         self.seen: list[torch.Tensor] = []
         self._tokens = tokens
 
-    def act(self, observation: Observation, generator: torch.Generator | None = None) -> torch.Tensor:
+    def scores(self, observation: Observation) -> torch.Tensor:
         self.seen.append(observation.ego.clone())
-        return torch.full((len(observation),), self._tokens[len(self.seen) - 1])
+        return liking(torch.full((len(observation),), self._tokens[len(self.seen) - 1]), self.actions)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +110,8 @@ def driven(road, step, tokens, begin=0.0, seconds=None, accel=0.0):
             table["alpha"][row], table.controlled[row] = 1.0, True
     steps = Steps.fit(step, script.sim.dt)
     speeds = TargetSpeeds(road, table, np.zeros(len(road.count), bool))
-    controller = Controller(road, table, Drivers(script), steps, speeds, GoalPlanner(road, table))
+    planner, guarding = GoalPlanner(road, table), Guarding(table, {})
+    controller = Controller(road, table, Drivers(script), steps, speeds, planner, guarding)
     nowhere = np.full(len(table), -1)  # no lane, hence no goals
     for k in range(round((seconds or len(tokens) * script.sim.dt) / step)):
         controller.drive(begin + k * step, nowhere, {})

@@ -90,15 +90,17 @@ def parameters(own=None, types=None, vclass="trailer", length=20.0, width=2.55):
 def test_nothing_said_leaves_everything_to_the_run():
     found = parameters()
     assert found.marks() == Marks()
-    assert found.context() == Context(None, None, None, None)
+    assert found.context() == Context(None, None, None, None, None)
     assert found.shape() == (shape_from_type("trailer", 20.0, 2.55), "articulated_truck")
 
 
 def test_the_vehicles_own_values_win_over_its_types():
     types = {"phase.alpha": "0.3", "phase.target_speed": "20", "phase.policy": "a.safetensors"}
-    own = {"phase.alpha": "0.9", "phase.policy": "b.safetensors", "phase.time_gap": "0.8"}
+    types |= {"phase.guard": "on", "phase.time_gap": "1.2"}
+    own = {"phase.alpha": "0.9", "phase.policy": "b.safetensors", "phase.guard": "off"}
+    own["phase.time_gap"] = "0.8"
     found = parameters(own, types)
-    assert found.context() == Context(0.9, 20.0, 0.8, "b.safetensors")
+    assert found.context() == Context(0.9, 20.0, 0.8, "b.safetensors", False)
 
 
 def test_marks_are_read_where_sumo_allows_them():

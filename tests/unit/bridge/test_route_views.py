@@ -117,8 +117,8 @@ def test_a_vehicle_over_the_line_does_not_see_the_oncoming_lane_as_its_own():
     table["y"][row] = 2.5
     cell = road.map.cell(torch.zeros(1, dtype=torch.long), torch.tensor([[100.0]]), torch.tensor([[2.5]]))
     assert float(road.map.cell_yaw[cell]) == pytest.approx(np.pi, abs=1e-3)  # the place is on the other lane
-    rows, yaw = road.views.seen(table, node, routes)
-    assert yaw[row] == pytest.approx(0.0, abs=1e-3)
+    rows, places = road.views.seen(table, node, routes)
+    assert road.graph.node_yaw[places[row]] == pytest.approx(0.0, abs=1e-3)
     x, y = centres(road, int(rows[row])).T
     assert x.max() > 190.0 and (x > 99.0).all() and np.abs(y).max() < 0.1
 
