@@ -94,6 +94,9 @@ class GuardConfig:
 
     # Others brake no harder than this, m/s^2: our own vehicles' bounds, and SUMO's vehicles up to their decel
     others_braking: tuple[float, float] = (8.0, 6.0)
+    # ... and it builds up with this, m/s^3, from how they brake now: our own emergency jerk. SUMO's vehicles,
+    # whose braking needs no time, are within it up to 4.5 m/s^2, the decel of SUMO's cars
+    others_jerk: float = 30.0
     # Brakes in an emergency build up with this, m/s^3: hydraulic ones reach 8 m/s^2 in about 0.25 s, of air
     # brakes UN Regulation 13 asks for 75 % of their effect in 0.6 s
     emergency_jerk: tuple[float, float] = (30.0, 10.0)

@@ -101,10 +101,17 @@ def braking(
     return speed, _driven(speed, dt)
 
 
-def braking_of_others(truck: Tensor, speed: Tensor, sim: SimConfig, config: GuardConfig) -> Tensor:
-    """Metres [M, T] until the steps `LOOKED_AT` that vehicles drive which brake as hard as they can."""
-    b = torch.where(truck, config.others_braking[1], config.others_braking[0])
-    left = speed.unsqueeze(1) - b.unsqueeze(1) * sim.dt * torch.arange(1, STEPS + 1)
+def braking_of_others(
+    truck: Tensor, speed: Tensor, accel: Tensor, sim: SimConfig, config: GuardConfig
+) -> Tensor:
+    """Metres [M, T] until the steps `LOOKED_AT` that vehicles drive which brake as hard as they can.
+
+    a_k = max(a_(k-1) - J dt, -b), a_0 being ``accel``, or 0 for who speeds up.
+    """
+    b = torch.where(truck, config.others_braking[1], config.others_braking[0]).unsqueeze(1)
+    later = sim.dt * torch.arange(1, STEPS + 1)
+    accel = torch.maximum(accel.clamp_max(0.0).unsqueeze(1) - config.others_jerk * later, -b)
+    left = speed.unsqueeze(1) + (accel * sim.dt).cumsum(1)
     return _driven(left.clamp_min(0.0), sim.dt)
 
 

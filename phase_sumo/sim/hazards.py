@@ -169,8 +169,8 @@ def _leaders(
     """
     c, times = around.contacts, torch.tensor(LOOKED_AT) * sim.dt
     k = ((c.gap >= 0.0) & meet.isfinite().any(1)).nonzero().squeeze(1)
-    others = c.other[k]
-    way = braking_of_others(around.shape.truck[others], around.state.speed[others], sim, config)
+    others, state = c.other[k], around.state
+    way = braking_of_others(around.shape.truck[others], state.speed[others], state.accel[others], sim, config)
     missing = moved[c.row[k]] - (c.gap[k].unsqueeze(1) - config.gap + way).unsqueeze(1)
     missing = _from(missing, times, meet[k])
     missing = torch.where(missing > 0.0, missing + over[k].clamp_min(0.0).unsqueeze(1), 0.0)

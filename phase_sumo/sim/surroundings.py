@@ -197,7 +197,7 @@ def _short(
     """Whether followers [E] that speed up for one more step may be unable to stop behind leaders [E]."""
     speeding = torch.full((len(state.speed), 1), config.followers_jerk)
     late = braking(shape, state, speeding, sim, config)[1].squeeze(1)
-    early = braking_of_others(shape.truck, state.speed, sim, config)
+    early = braking_of_others(shape.truck, state.speed, state.accel, sim, config)
     closer = late.index_select(0, follower) - early.index_select(0, leader)
     return closer.amax(1) > gap - config.gap
 

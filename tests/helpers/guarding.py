@@ -86,13 +86,14 @@ def drive(
 
 
 def scripted(state: VehicleState, accel: Tensor, aside: Tensor) -> VehicleState:
-    """Slot 1 after a step at an acceleration [W], moving to the left with ``aside`` [W] m/s."""
+    """Slot 1 after a step at an acceleration [W], braking that builds up, and ``aside`` [W] m/s to the left."""
     accel, aside = accel.unsqueeze(1), aside.unsqueeze(1)
+    accel = torch.maximum(accel, state.accel.clamp_max(0.0) - GUARD.others_jerk * SIM.dt)
     speed = (state.speed + accel * SIM.dt).clamp_min(0.0)
     aside = torch.where(speed > 0.5, aside, 0.0)
     yaw = torch.where(speed > 0.5, torch.atan2(aside, speed), state.yaw)
     x, y = state.x + speed * SIM.dt, state.y + aside * SIM.dt
-    return replace(state, x=x, y=y, yaw=yaw, speed=speed, accel=accel.expand_as(speed).clone())
+    return replace(state, x=x, y=y, yaw=yaw, speed=speed, accel=accel)
 
 
 def wanting(jerk: float, rate: float, count: int) -> Tensor:

@@ -81,7 +81,7 @@ def test_it_stops_behind_who_stands_and_would_not_without(road):
     table, trips, _ = driven(road, (True, False), gap=60, speed=20.0, seconds=8.0)
     assert 5.3 < np.hypot(*_apart(table, 0)) < 7.0 and table["speed"][table.row_of["v0"]] < 0.5
     assert np.hypot(*_apart(table, 1)) > 5.0 and table["speed"][table.row_of["v1"]] > 20.0
-    assert trips["v0"].guard_unsafe == 0
+    assert trips["v0"].guard_unsafe < 3 < trips["v0"].guard_standing
 
 
 def test_what_is_safe_is_left_alone(road):
