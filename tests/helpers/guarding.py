@@ -86,7 +86,7 @@ def drive(
 
 
 def scripted(state: VehicleState, accel: Tensor, aside: Tensor) -> VehicleState:
-    """Slot 1 after a step at an acceleration [W], braking that builds up, and ``aside`` [W] m/s to the left."""
+    """Slot 1 after a step at an acceleration [W], as its brakes allow, and ``aside`` [W] m/s to the left."""
     accel, aside = accel.unsqueeze(1), aside.unsqueeze(1)
     accel = torch.maximum(accel, state.accel.clamp_max(0.0) - GUARD.others_jerk * SIM.dt)
     speed = (state.speed + accel * SIM.dt).clamp_min(0.0)
