@@ -56,10 +56,10 @@ class _Tally:
 
 
 def edges_beside(motion: Motion, sight: Sight) -> Tensor:
-    """[2, R] d of the road's right and left edge beside vehicles, as far as they must look."""
+    """[2, R] d of the road's right and left edge along vehicles' lanes, as far as they must look."""
     seconds, least = EDGE_AHEAD
     ahead = (seconds * motion.state.speed).clamp_min(least)
-    return torch.stack(road_between(sight, motion.path, motion.s, motion.d, ahead))
+    return torch.stack(road_between(sight, motion.path, motion.s, ahead))
 
 
 def near_edge(motion: Motion, rate: Tensor, sim: SimConfig) -> Tensor:

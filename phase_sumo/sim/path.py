@@ -127,17 +127,19 @@ class Path(TensorBatch):
         return self.curvature[:, :1] + (reached * step.unsqueeze(1)).sum(2)
 
 
-def road_between(sight: Sight, path: Path, s: Tensor, d: Tensor, ahead: Tensor) -> tuple[Tensor, Tensor]:
-    """The road's edges to the right and to the left of vehicles at s, d [R] along the next ``ahead`` [R] m.
+def road_between(sight: Sight, path: Path, s: Tensor, ahead: Tensor) -> tuple[Tensor, Tensor]:
+    """The road's edges to the right and to the left of lanes from s [R] on, along the next ``ahead`` [R] m.
 
     Returns:
-        d of the nearest edge points on either side [R] in m, infinite where there is none.
+        d of the edge points on either side that are nearest to the lane's centre, [R] in m, infinite where
+        there is none.
     """
     x, y, _, _, kind = sight.points
     row, point = (kind == ROAD_EDGE).nonzero(as_tuple=True)
     along, aside, _ = path.take(row).locate(x[row, point], y[row, point])
     there = (along > s[row] - BEHIND) & (along < (s + ahead)[row])
-    left = torch.where(there & (aside > d[row]), aside, torch.inf)
-    right = torch.where(there & (aside < d[row]), aside, -torch.inf)
+    # not those beside the vehicle: who is over the right edge has it to the left
+    left = torch.where(there & (aside > 0.0), aside, torch.inf)
+    right = torch.where(there & (aside < 0.0), aside, -torch.inf)
     none = torch.full_like(s, torch.inf)
     return (-none).scatter_reduce_(0, row, right, "amax"), none.scatter_reduce_(0, row, left, "amin")

@@ -94,6 +94,18 @@ def test_who_is_at_the_road_edge_is_not_steered_off(straight_map):
     assert got.reason[0, 0] == Reason.ROAD_EDGE and got.rate[0, 0] > -0.08
 
 
+@pytest.mark.parametrize("rate", [0.02, 0.08])
+def test_who_is_over_the_road_edge_may_steer_back(straight_map, rate):
+    """The car's right side is 0.5 m off the road, whose right edge is half a lane from the first lane."""
+    worlds = pair(80.0, MIDDLE, (20.0, 20.0))
+    over = replace(worlds.state, y=torch.tensor([[-0.5 * MIDDLE + 0.4, MIDDLE]]))
+    got = decide(replace(worlds, state=over), straight_map.road_map, wanting(0.0, rate, 1))
+    assert got.reason[0, 0] == Reason.NONE and got.rate[0, 0].item() == pytest.approx(rate)
+    beyond = replace(worlds.state, y=torch.tensor([[-0.5 * MIDDLE - 0.7, MIDDLE]]))
+    got = decide(replace(worlds, state=beyond), straight_map.road_map, wanting(0.0, rate, 1))
+    assert got.reason[0, 0] == Reason.NONE and got.rate[0, 0].item() == pytest.approx(rate)
+
+
 def test_of_unsafe_actions_the_guard_takes_the_likeliest_that_is_safe(straight_map):
     """At the largest gap at which what is wanted is unsafe; every action is judged alone for comparison."""
     scores, ahead = wanting(5.0, 0.0, 1), 30.0
