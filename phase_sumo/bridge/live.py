@@ -15,7 +15,7 @@ from phase_sumo.bridge.fleet.contacts import ContactMonitor
 from phase_sumo.bridge.fleet.drivers import Driver, Drivers
 from phase_sumo.bridge.fleet.event_log import Event
 from phase_sumo.bridge.fleet.fleet import Fleet
-from phase_sumo.bridge.fleet.guarded import tally
+from phase_sumo.bridge.fleet.guarded import tally, warning
 from phase_sumo.bridge.fleet.parameters import Parameters
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.scene import Scene
@@ -212,6 +212,7 @@ class PhaseFleet(StepListener):
         phase = [t for t in trips if t.adopted]
         accounts = self.scene.accounts()
         travel = [t.arrive - t.depart for t in trips if math.isfinite(t.arrive)]
+        guard = tally(trips, fleet.guarded_decisions if fleet else 0)
         report: dict[str, Any] = {
             "share": self.choice.probability,
             "seed": self.choice.seed,
@@ -223,7 +224,7 @@ class PhaseFleet(StepListener):
             "phase_at_fault_collisions": sum(c.phase_at_fault for c in collisions),
             "collisions_after_hand_back": sum(c.after_hand_back for c in collisions),
             "off_road": len(events.of("road edge")),
-            **tally(trips, fleet.guarded_decisions if fleet else 0),
+            **guard,
             "phase_vehicle_km": sum(t.policy_metres for t in trips) / 1000.0,
             "sim_seconds": self._last - self._start,
             "policy_cpu_us_per_vehicle_step": fleet.cpu_per_decision if fleet else 0.0,
@@ -240,7 +241,7 @@ class PhaseFleet(StepListener):
             "accounts": accounts,
             "accounts_balance": accounts["inserted"]
             == sum(v for k, v in accounts.items() if k != "inserted"),
-            "warnings": self._warnings(),
+            "warnings": self._warnings() + warning(guard["guard_share_of_decisions"]),
         }
         if fleet:
             report["fleet"] = fleet.report()

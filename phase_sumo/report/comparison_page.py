@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from phase_sumo import __version__
 from phase_sumo.bridge.check import Check
+from phase_sumo.bridge.fleet.guarded import warning
 from phase_sumo.evaluate import measures, surrogate_safety, traffic
 from phase_sumo.evaluate.measures import MEASURES, Measure
 from phase_sumo.evaluate.traffic import Corridor
@@ -69,6 +70,7 @@ def write_report(
         changed=[m for m in models if comparison["reference"] not in (None, m)],
         table=_table(MEASURES, comparison, models),
         phase_table=_table(PHASE_MEASURES, comparison, [m for m in models if is_phase(m)]),
+        often=_often(comparison, [m for m in models if is_phase(m)]),
         snapshots=[
             (label(m), _image(road_pictures.draw_snapshot(network, t, view, moment)), _caption(t, moment))
             for m, t in first.items()
@@ -103,6 +105,12 @@ def _table(table: Mapping[str, Measure], comparison: dict[str, Any], models: Seq
         if any(cell["mean"] != "–" for cell in cells):
             groups.setdefault(measure.group, []).append((measure.label, measure.unit, cells))
     return list(groups.items())
+
+
+def _often(comparison: dict[str, Any], models: Sequence[str]) -> list[tuple[str, str]]:
+    """Models whose vehicles the guard kept from what they wanted often, and a line about each."""
+    share = {m: comparison["summary"][m].get("guard_share_of_decisions") for m in models}
+    return [(label(m), text) for m in models for text in warning(share[m]["mean"] if share[m] else 0.0)]
 
 
 def _cell(value: dict[str, Any] | None, measure: Measure) -> dict[str, Any]:

@@ -132,6 +132,7 @@ def compare(
         "types": list(drive.types or ()),
         "alpha": list(drive.alpha) if isinstance(drive.alpha, tuple) else drive.alpha,
         "time_gap": drive.time_gap,
+        "guard": drive.guard,
         "policy": _policy_name(drive.policy),
         "policy_info": _policy_info(drive.policy) if any(model.phase for model in chosen) else {},
         "background": reference,

@@ -52,6 +52,14 @@ PHASE_MEASURES = {
         "Collisions of others, 10 s after the policy gave one back", "", 0, "PHASE vehicles"
     ),
     "off_road": Measure("Contacts with the road edge", "", 0, "PHASE vehicles"),
+    "guard_share_of_decisions": Measure("Share of decisions that the guard changed", "", 4, "PHASE vehicles"),
+    "guard_leader": Measure("… decisions, because of a leader", "", 0, "PHASE vehicles"),
+    "guard_standing": Measure("… of one that stands", "", 0, "PHASE vehicles"),
+    "guard_beside": Measure("… of somebody beside", "", 0, "PHASE vehicles"),
+    "guard_road_edge": Measure("… of the road's edge or a curve", "", 0, "PHASE vehicles"),
+    "guard_unsafe": Measure("… in which nothing was safe", "", 0, "PHASE vehicles"),
+    "guard_seconds": Measure("… their time", "s", 1, "PHASE vehicles"),
+    "guard_jerk": Measure("… their jerk beside what was wanted", "m/s²", 1, "PHASE vehicles"),
     "real_time_factor": Measure("Real-time factor of the run", "×", 1, "PHASE vehicles"),
     "policy_cpu_us_per_vehicle_step": Measure(
         "Policy, CPU per vehicle and step", "µs", 0, "PHASE vehicles"

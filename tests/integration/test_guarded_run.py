@@ -49,7 +49,7 @@ def test_with_the_guard_nobody_is_run_into_and_without_they_are(tmp_path):
         int(trips[f"v{k}"]["guard_leader"]) > 0 == int(trips[f"w{k}"]["guard_leader"]) for k in range(3)
     )
     assert result["guard_seconds"] == pytest.approx(0.1 * result["guard_interventions"], abs=0.01)
-    assert json.loads((tmp_path / "out" / "result.json").read_text())["guard_braking"] > 10.0
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["guard_jerk"] > 10.0
     assert result["fleet"]["guard_cpu_us_per_vehicle_step"] > 0
     off, trips = drive(tmp_path, guard=False)
     assert off["phase_at_fault_collisions"] == 3 and off["guard_interventions"] == 0

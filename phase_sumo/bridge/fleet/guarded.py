@@ -19,6 +19,7 @@ from phase_sumo.sim.guard import Decision, guarded
 from phase_sumo.sim.hazards import Reason
 from phase_sumo.sim.path import Sight
 
+OFTEN = 0.01  # share of the decisions from which on the traffic is the guard's as much as the policy's
 COUNTED = {
     Reason.LEADER: "guard_leader",
     Reason.BESIDE: "guard_beside",
@@ -34,6 +35,16 @@ def tally(trips: Iterable[Trip], decisions: int) -> dict[str, float]:
     count = sum(sums[name] for name in COUNTED.values())
     share = count / decisions if decisions else 0.0
     return {"guard_interventions": count, "guard_share_of_decisions": share, **sums}
+
+
+def warning(share: float) -> list[str]:
+    """A line where the guard stepped in often."""
+    if share <= OFTEN:
+        return []
+    return [
+        f"the guard changed {100.0 * share:.1f} % of the decisions, for the reasons that guard_* count: "
+        "the policy alone drives otherwise, as --guard off shows"
+    ]
 
 
 class Guarding:
@@ -105,4 +116,4 @@ class Guarding:
             setattr(trip, name, getattr(trip, name) + 1)
             trip.guard_unsafe += unsafe
             trip.guard_seconds += dt
-            trip.guard_braking += brake
+            trip.guard_jerk += brake

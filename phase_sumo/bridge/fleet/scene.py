@@ -34,7 +34,7 @@ class Trip:
             the policy do what it wanted, by reason (see `sim.hazards.Reason`).
         guard_unsafe: those in which nothing was safe.
         guard_seconds: their time.
-        guard_braking: m/s^2, the guard's changes of acceleration beside those that the policy wanted, summed.
+        guard_jerk: m/s^2, the differences between the jerks taken and those wanted, summed over their time.
         adopted, finished: the policy drove it at some time; the policy drove it to its arrival.
     """
 
@@ -55,7 +55,7 @@ class Trip:
     guard_standing: int = 0
     guard_unsafe: int = 0
     guard_seconds: float = 0.0
-    guard_braking: float = 0.0
+    guard_jerk: float = 0.0
     adopted: bool = False
     finished: bool = False
 

@@ -70,7 +70,7 @@ def test_only_vehicles_with_a_guard_are_kept_from_who_stands_ahead(road):
     assert accel[0] < -0.5 and accel[1] == pytest.approx(0.5)
     assert guarding.decisions == 1 and trips["v0"].guard_standing == 1
     assert trips["v0"].guard_seconds == pytest.approx(0.1)
-    assert trips["v0"].guard_braking == pytest.approx(0.5 - accel[0], abs=1e-3)
+    assert trips["v0"].guard_jerk == pytest.approx(0.5 - accel[0], abs=1e-3)
     assert trips["v1"] == Trip("v1", "car", 0.0)
     total = tally(trips.values(), guarding.decisions)
     assert total["guard_interventions"] == total["guard_standing"] == 1

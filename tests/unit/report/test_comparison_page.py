@@ -40,7 +40,8 @@ def comparison(models, seeds=(1,), collisions=()):
     reference = next(m for m in models if not is_phase(m))
     return {
         "scenario": "a <b> & c.sumocfg", "network": "n.net.xml", "roads": "freeway",
-        "models": models, "seeds": list(seeds), "share": 1.0, "types": [], "alpha": None, "policy": "shipped",
+        "models": models, "seeds": list(seeds), "share": 1.0, "types": [], "alpha": None, "guard": True,
+        "policy": "shipped",
         "policy_info": {"agent steps": "1,000"},
         "background": "idm", "reference": reference, "collisions": list(collisions),
         "sumo_options": [], "section": {"edge": "e", "position": 200.0}, "runs": [],
@@ -67,6 +68,14 @@ def test_page_names_models_and_escapes_names(tmp_path, network):
     assert "no interval over seeds" in page
     assert "1.5<small>" not in page
     assert "No boxes touched in any run" in page
+
+
+def test_page_says_where_the_guard_stepped_in_often(tmp_path, network, monkeypatch):
+    runs = {"phase": [drive(True)], "idm": [drive(False)]}
+    page = page_of(tmp_path, network, runs)
+    assert "the guard changed 150.0 % of the decisions" in page and "because of a leader" in page
+    monkeypatch.setattr("phase_sumo.bridge.fleet.guarded.OFTEN", 2.0)
+    assert "the guard changed 150.0 %" not in page_of(tmp_path, network, runs)
 
 
 def test_page_without_phase_and_with_intervals(tmp_path, network):
