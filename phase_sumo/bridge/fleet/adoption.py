@@ -8,7 +8,7 @@ from collections.abc import Container, Iterator
 import numpy as np
 
 from phase_sumo.bridge.fleet.drivers import Drivers, Member
-from phase_sumo.bridge.fleet.occupancy import Occupancy, standing_rooms
+from phase_sumo.bridge.fleet.occupancy import Occupancy, overall_length, standing_rooms
 from phase_sumo.bridge.fleet.parameters import TARGET_SPEEDS, Choice, Parameters
 from phase_sumo.bridge.fleet.plans import Plans, stops_soon
 from phase_sumo.bridge.fleet.right_of_way import RightOfWay
@@ -19,7 +19,8 @@ from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.errors import PhaseError
 
 ADOPT_ROOM = 150.0  # m of observed road ahead below which a vehicle is left to SUMO
-ALIGNED = 0.1  # rad that a vehicle's heading may differ from its lane's: SUMO's turn off as fast as they like
+# rad and m/s sideways that a vehicle may drive out of line with its lane: SUMO's turn off at any speed
+ALIGNED, DRIFT = 0.1, 0.8
 TOO_FAST = 4.0  # m/s above what the curves ahead allow with gentle braking
 QUEUE_TIME, QUEUE_ROOM = 5.0, 60.0  # s of driving, at least m, to one who stands: SUMO's until it goes on
 STOP_MARGIN = 1.5  # times the room before a stop, or a vehicle would be given back at once
@@ -108,8 +109,7 @@ class Adoption:
         if not edges or self._stops_soon(vehicle, edges) or len(set(route)) < len(route):
             return None  # on a route that uses an edge twice, SUMO finds moved vehicles on the first lap
         row, here = self._table.row_of[vehicle], np.array([node])
-        turn = float(self._table["yaw"][row] - self._road.graph.node_yaw[node])
-        if np.cos(turn) < np.cos(ALIGNED):
+        if not self._in_line(row, node):
             return None
         truck_here = self._table["truck"][row : row + 1]
         fastest = curve_speed(self._road, [lanes], here, truck_here, np.zeros(1))
@@ -122,6 +122,16 @@ class Adoption:
         if leads_off and remaining(self._road, lanes, node) < ADOPT_ROOM:
             return None
         return lanes, edges, leads_off
+
+    def _in_line(self, row: int, node: int) -> bool:
+        """Whether a vehicle is on the observed road as a whole, and drives as its lane leads."""
+        road, table = self._road, self._table
+        lane, passed = int(road.graph.node_lane[node]), road.offset(node)
+        if passed < overall_length(table)[row] - 1.0 and not road.preceding[lane]:
+            return False
+        axle = node - min(round(float(table["length"][row] - table["rear_overhang"][row])), passed)
+        turn = float(table["yaw"][row] - road.graph.node_yaw[axle])
+        return np.cos(turn) >= np.cos(min(ALIGNED, DRIFT / max(float(table["speed"][row]), 1.0)))
 
     def _barred(self, vehicle: str, lanes: RouteLanes, leads_off: bool, node: int) -> bool:
         """Whether it would have to be given back soon, or is slower than the policy can drive."""

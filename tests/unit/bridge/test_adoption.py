@@ -52,10 +52,13 @@ def test_a_vehicle_that_turns_onto_its_lane_waits_until_it_is_in_line():
     plans = SimpleNamespace(stretch=lambda *_: stretch, stop_room=lambda *_: room[0])
     ways = SimpleNamespace(bar=lambda *_, **__: None)
     adoption = Adoption(scene, road, Choice(), None, plans, ways)  # type: ignore[arg-type]
-    for turn, taken in ((0.0, True), (0.08, True), (-0.15, False), (0.5, False), (2 * np.pi, True)):
+    for turn, taken in ((0.0, True), (0.04, True), (0.08, False), (-0.15, False), (2 * np.pi, True)):
         table["yaw"][row] = turn
         assert bool(adoption._stretch("a", int(node[row]))) == taken
-    table["yaw"][row] = 0.0
+    table["yaw"][row], table["speed"][row] = 0.08, 5.0  # slowly it drifts less
+    assert adoption._stretch("a", int(node[row]))
+    table["yaw"][row], table["speed"][row] = 0.0, 15.0
+    assert not adoption._stretch("a", 2)  # its tail is not on the road
     for room[0], taken in ((-20.0, False), (0.0, False), (200.0, False), (400.0, True)):  # m to a stop
         assert bool(adoption._stretch("a", int(node[row]))) == taken
 
