@@ -42,21 +42,25 @@ def lane_speeds(graph: LaneGraph, sideways: float) -> FloatArray:
     return np.minimum(np.sqrt(np.maximum(slowest - 2.0 * BRAKING * metres, 0.0)), FASTEST)
 
 
-def exit_speeds(first: FloatArray, metres: FloatArray, onward: IntArray) -> FloatArray:
+def exit_speeds(
+    first: FloatArray, metres: FloatArray, onward: IntArray, last: FloatArray | None = None
+) -> FloatArray:
     """The speed at each lane's end that the way on allows.
 
     Args:
         first: [L] m/s at the lanes' first nodes, see `lane_speeds`.
         metres: [L] length.
         onward: [L] lane that follows, -1 for none.
+        last: [L] m/s at the lane's end where none follows, `FASTEST` by default.
 
     Returns:
         [L] m/s.
     """
+    last = np.full(len(first), FASTEST) if last is None else np.minimum(last, FASTEST)
     speed = np.full(len(first), FASTEST)
     while True:
         enter = np.minimum(first, braked_to(speed, metres))
-        slowed = np.where(onward >= 0, enter[onward], FASTEST)
+        slowed = np.where(onward >= 0, enter[onward], last)
         if np.array_equal(slowed, speed):
             return speed
         speed = slowed

@@ -362,19 +362,21 @@ class Swerve(Standin):
         return torch.full((len(observation.ego),), left)
 
 
-def test_accounts_with_removals_of_ours_and_vehicles_still_waiting(tmp_path):
+def test_accounts_with_vehicles_that_run_off_the_road_and_others_still_waiting(tmp_path):
     demand = ROUTES.replace('period="2.2"', 'period="0.4"')
     accounts, events = account_run(tmp_path, end=25, share=0.4, demand=demand, driver=Swerve())
-    assert accounts["removed: off road"] > 2
+    assert "removed: off road" not in accounts  # SUMO leads them back
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result["waiting_for_insertion"] > 0
-    touched = {e.vehicle: e for e in events if e.kind == "road edge"}
-    for event in events:
-        if event.kind == "removal":
-            assert event.phase and touched[event.vehicle].time < event.time
-            if touched[event.vehicle].lane.startswith("main"):
-                assert touched[event.vehicle].y > -3.0  # the road lies below y = 0: its left edge
-    assert result["off_road"] >= len(touched)
+    touched = {(e.vehicle, e.time) for e in events if e.kind == "road edge"}
+    off = [event for event in events if event.reason == "it runs off the road"]
+    assert len(off) > 2
+    for event in off:
+        assert event.kind == "hand-back"
+        assert any(who == event.vehicle and when <= event.time for who, when in touched)
+        if event.lane.startswith("main"):
+            assert event.y > -3.0  # the road lies below y = 0: its left edge
+    assert result["off_road"] == len(touched)
 
 
 def test_accounts_with_hand_overs_both_ways(tmp_path):

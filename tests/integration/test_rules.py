@@ -227,3 +227,24 @@ def test_speeds_that_the_policy_cannot_drive_are_sumos(tmp_path):
     assert not run.on("m1_0", "m1_1")
     assert "the speed limit is too low" in run.reasons()
     assert {e.vehicle for e in run.events if e.kind == "adoption"} == {"f.0", "f.1"}
+
+
+def test_an_exit_to_a_street_is_phases_almost_to_its_end(tmp_path):
+    net = (
+        '<node id="a" x="0" y="0"/><node id="b" x="900" y="0"/><node id="c" x="1100" y="0"/>',
+        '<edge id="off" from="a" to="b" type="highway.motorway_link" numLanes="2" speed="22"/>'
+        '<edge id="street" from="b" to="c" type="highway.secondary" numLanes="1" speed="14"/>',
+        '<connection from="off" to="street" fromLane="0" toLane="0"/>',
+    )
+    flow = (
+        '<flow id="f" type="car" from="off" to="street" begin="0" end="16" period="4" '
+        'departSpeed="20" departLane="{}"/>'
+    )
+    run = Run(tmp_path, net, flow.format(0), end=75)
+    assert run.result["arrived"] == 4 and run.result["collisions"] == 0
+    assert run.result["share_of_freeway_time_under_policy"] > 0.96
+    back = [event for event in run.events if event.kind == "hand-back"]
+    assert len(back) == 4 and all(event.position > 870.0 and event.speed < 16.0 for event in back)
+    (tmp_path / "two").mkdir()
+    astray = Run(tmp_path / "two", net, flow.format(1), end=75)  # the left lane ends there
+    assert astray.result["arrived"] == 4 and astray.result["collisions"] == 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from phase_sumo.bridge.fleet import adoption
+from phase_sumo.bridge.fleet import adoption, fleet
 from phase_sumo.bridge.fleet.parameters import Choice
 from phase_sumo.bridge.fleet.route_views import RouteViews
 from phase_sumo.bridge.fleet.table import STATE
@@ -108,6 +108,7 @@ def test_a_difference_would_be_seen(tmp_path):
 def test_collisions_and_road_edges(tmp_path, monkeypatch):
     """Who touches whom, when, and at whose fault; and who touches the road edge."""
     monkeypatch.setattr(adoption, "TOO_FAST", np.inf)  # reckless ones are meant to be PHASE's from the start
+    monkeypatch.setattr(fleet, "EDGE_SECONDS", 0.0)  # and to the end
     network, driver = read_network(NETWORKS / "f12_scurve2.net.xml"), Standin(reckless=True)
     cfg = write_scenario(tmp_path, "f12_scurve2", RECKLESS_SCENE)
     kept = record(cfg, network, driver, until=7.0, choice=Choice(alpha=0.8, time_gap=0.0, guard=False))

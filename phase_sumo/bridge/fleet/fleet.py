@@ -31,6 +31,7 @@ from phase_sumo.bridge.sumo.session import bare
 HAND_BACK_TIME, HAND_BACK_ROOM = 3.5, 30.0  # s, at least m, before the observed road's end: SUMO takes over
 KEEP_ON_LANE = 2.0  # s for which a vehicle that SUMO lost is told to be nearer to a lane
 OFF_ROAD_SECONDS = 4.0  # s without a lane after which a vehicle is taken out
+EDGE_SECONDS = 0.5  # s since the last contact with the road edge
 EXTRA_SPEED = 2.0  # m/s^2 by which a vehicle may be faster after a step of SUMO
 VAPORIZED = 3
 
@@ -240,12 +241,15 @@ class Fleet:
             routes = [members[i][1].route for i in k.tolist()]
             occupancy = Occupancy(self._road, self._table, self._node)
             rooms[:, k] = standing_rooms(self._road, occupancy, node[k], rows[k], routes)
-        lane_id = self._lane_id
-        for (vehicle, member), on, at, (own, beside) in zip(
-            members, on_route.tolist(), node.tolist(), rooms.T.tolist(), strict=True
+        lane_id, wide = self._lane_id, self._road.beyond_lane(node, *(at[rows] for at in self._table.front))
+        for (vehicle, member), on, at, out, (own, beside) in zip(
+            members, on_route.tolist(), node.tolist(), wide.tolist(), rooms.T.tolist(), strict=True
         ):
             if not lane_id(vehicle):
                 member.off_lane_until = time + KEEP_ON_LANE
+            elif on and out and time - member.edge_contact < EDGE_SECONDS:
+                self._hand_back(vehicle, "it runs off the road")
+                continue
             if on:
                 member.lost_since = None
                 self._check_way(vehicle, member, at, own)
@@ -278,9 +282,10 @@ class Fleet:
         """Give back or take out who comes to the road's end, or to one who stands in some m in a lane."""
         room = remaining(self._road, member.route, node)
         connector = self._road.network.lanes[int(self._road.graph.node_lane[node])].connector
-        speed = self._table["speed"][self._table.row_of[vehicle]]
+        speed = float(self._table["speed"][self._table.row_of[vehicle]])
         needed = max(HAND_BACK_TIME * speed, HAND_BACK_ROOM)
-        if member.leads_off and room < needed and not connector:
+        ends = member.leads_off and room < needed and not connector
+        if ends and not self._plans.way_off.is_free(vehicle, member.route, node, room, speed):
             self._hand_back(vehicle, "the observed road ends")
         elif min(own, beside) < needed and not connector:
             where = "ahead" if own < needed else "beside the way"

@@ -19,6 +19,7 @@ from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import follow_lanes, kept_stretch, route_lanes
 from phase_sumo.bridge.fleet.route_views import RouteLanes
 from phase_sumo.bridge.fleet.scene import Scene
+from phase_sumo.bridge.fleet.way_off import WayOff
 from phase_sumo.bridge.sumo.session import bare
 
 ROUTES_KEPT = 1000  # whose lanes are remembered for vehicles to come
@@ -27,12 +28,17 @@ STOP_TIME, STOP_ROOM = 12.0, 150.0  # s of driving, at least m, before a stop: S
 
 
 class Plans:
-    """Compares what SUMO holds of each vehicle's route and stops with what PHASE drives by."""
+    """Compares what SUMO holds of each vehicle's route and stops with what PHASE drives by.
+
+    Attributes:
+        way_off: the ends of the observed road.
+    """
 
     def __init__(self, scene: Scene, road: Road, rules: LaneRules) -> None:
         self._scene, self._api, self._road, self._rules = scene, scene.api.vehicle, road, rules
-        self._routes: dict[tuple[tuple[str, ...], str, bool], RouteLanes] = {}
+        self._routes: dict[tuple[tuple[str, ...], str, str, bool], RouteLanes] = {}
         self._follow = follow_lanes(road)
+        self.way_off = WayOff(scene.api, road)
         self._name = bare(scene.api, "vehicle", "getRouteID")
         self._next = -np.inf
 
@@ -113,11 +119,13 @@ class Plans:
         facts = self._scene.facts[vehicle]
         rules = self._rules.of(facts.vehicle_class)
         edges = kept_stretch(self._road, route, at, rules)
-        key = (edges, facts.vehicle_class, bool(facts.shape.truck))
+        onto = "".join(route[at + len(edges) : at + len(edges) + 1]) if edges else ""
+        key = (edges, onto, facts.vehicle_class, bool(facts.shape.truck))
         if key not in self._routes:
             if len(self._routes) == ROUTES_KEPT:
                 del self._routes[next(iter(self._routes))]  # the oldest
-            self._routes[key] = route_lanes(self._road, edges, key[2], rules)
+            leave = self.way_off.lanes(edges[-1], onto) if onto else None
+            self._routes[key] = route_lanes(self._road, edges, key[3], rules, leave)
         return edges, self._routes[key]
 
     def follow_rules(self, changed: set[str], members: dict[str, Member]) -> list[str]:

@@ -53,6 +53,7 @@ class Road:
         self.first = np.concatenate(([0], np.cumsum(self.count)[:-1]))
         self.metres = np.array([float(np.hypot(*np.diff(c.points, axis=0).T).sum()) for c in network.lanes])
         tight = self.graph.node_lane[np.abs(self.graph.curvature(WINDOW)) > 1.0 / TIGHTEST]
+        self._width = np.array([lane.width for lane in network.lanes])
         self.edges = frozenset(c.edge for c in network.lanes if not c.connector)
         self.edges -= {network.lanes[i].edge for i in tight}
         self.lanes_of: dict[str, list[int]] = {}
@@ -120,6 +121,13 @@ class Road:
                 here[lost] >= 0, self._distance(np.maximum(here[lost], 0), at[lost]), np.inf
             )
         return here, best
+
+    def beyond_lane(self, node: IntArray, x: FloatArray, y: FloatArray) -> BoolArray:
+        """[n] whether positions lie beside the lanes of their nodes [n], -1 for none: False."""
+        graph, known = self.graph, node >= 0
+        at, yaw = graph.node_xy[node], graph.node_yaw[node]
+        aside = np.abs((y - at[:, 1]) * np.cos(yaw) - (x - at[:, 0]) * np.sin(yaw))
+        return known & (aside > 0.5 * self._width[graph.node_lane[node]])
 
     def overlapping(self, node: int, x: float, y: float, lanes: BoolArray) -> int:
         """The nearest node on one of some ``lanes`` [L] that overlap here with a vehicle's own.

@@ -5,7 +5,7 @@ The same idea as SUMO's best lanes, worked out once per stretch of route and kep
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,8 +45,16 @@ def kept_stretch(
     return tuple(stretch)
 
 
-def route_lanes(road: Road, edges: Sequence[str], truck: bool, rules: ClassRules | None = None) -> RouteLanes:
+def route_lanes(
+    road: Road,
+    edges: Sequence[str],
+    truck: bool,
+    rules: ClassRules | None = None,
+    leave: Mapping[int, float] | None = None,
+) -> RouteLanes:
     """Work backwards from the last edge of a stretch, on which every lane that is allowed counts as arrived.
+
+    Where the route goes on, that are the lanes which lead on (``leave``, see `RouteLanes`), if there are any.
 
     A lane that is closed to the vehicle is no way on: who is in it must leave it at once, for a lane beside.
 
@@ -56,6 +64,7 @@ def route_lanes(road: Road, edges: Sequence[str], truck: bool, rules: ClassRules
         rules: what the lanes allow the vehicle's class; as the network file says it by default.
     """
     rules = rules or ClassRules.of_network(road.network, truck)
+    leave = {i: speed for i, speed in (leave or {}).items() if rules.allowed[i]}
     size = len(road.network.lanes)
     changes, room, rest = np.full(size, np.inf), np.zeros(size), road.metres.copy()
     onward, side = np.full(size, -1, np.int64), np.zeros(size, np.int64)
@@ -64,21 +73,24 @@ def route_lanes(road: Road, edges: Sequence[str], truck: bool, rules: ClassRules
         for i in here:
             if not rules.allowed[i]:
                 continue
-            if k == 0:
+            if k == 0 and (not leave or i in leave):
                 changes[i], room[i] = 0.0, np.inf
+            elif k == 0:
+                room[i] = road.metres[i]
             else:
                 _extend(road, i, changes, room, onward, rules)
         _sideways(road, here, changes, side, rules)
         _add_up(road, here, onward, rest)
     view = road.views.of(onward, np.isfinite(changes))
-    return RouteLanes(changes, room, onward, side, _exit_speeds(road, onward, truck), rest, view, rules)
+    speeds = _exit_speeds(road, onward, truck, leave)
+    return RouteLanes(changes, room, onward, side, speeds, rest, view, rules, leave)
 
 
 def follow_lanes(road: Road) -> RouteLanes:
     """Stay in lane, take the first way on: for a vehicle that has lost its route."""
     size = len(road.network.lanes)
     onward = np.array([f[0] if f else -1 for f in road.following], np.int64).reshape(-1)
-    speed = _exit_speeds(road, onward, truck=True)
+    speed = _exit_speeds(road, onward, True, {})
     return RouteLanes(
         np.zeros(size),
         np.full(size, np.inf),
@@ -91,8 +103,10 @@ def follow_lanes(road: Road) -> RouteLanes:
     )
 
 
-def _exit_speeds(road: Road, onward: IntArray, truck: bool) -> FloatArray:
-    return exit_speeds(road.curve_speed[int(truck), road.first], road.metres, onward)
+def _exit_speeds(road: Road, onward: IntArray, truck: bool, leave: Mapping[int, float]) -> FloatArray:
+    last = np.full(len(onward), FASTEST)
+    last[list(leave)] = list(leave.values())
+    return exit_speeds(road.curve_speed[int(truck), road.first], road.metres, onward, last)
 
 
 def _extend(

@@ -8,8 +8,8 @@ own way.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -44,6 +44,8 @@ class RouteLanes:
         side: +1 when the lane to the left needs fewer changes, -1 for the right, 0 for neither.
         view: [L, 3] nodes first, end and row of the road map's view for the first, see `RouteViews`.
         rules: what the lanes allow the vehicle's class.
+        leave: lanes of the last edge that lead on to where SUMO drives, with the m/s allowed there; empty
+            where all do or the route ends.
     """
 
     changes: FloatArray
@@ -54,6 +56,7 @@ class RouteLanes:
     rest: FloatArray
     view: IntArray
     rules: ClassRules
+    leave: Mapping[int, float] = field(default_factory=dict)
 
 
 class RouteViews:

@@ -222,3 +222,10 @@ def test_an_acceleration_lane_is_no_end_of_the_road(road):
         assert left == pytest.approx(20.0 + 400.0 + 300.0, abs=4.0)
         before = remaining(road, route, int(road.first[5]) + 100)
         assert before == pytest.approx(100.0 + 200.0 + 400.0 + 300.0, abs=4.0)
+
+
+def test_positions_beside_their_lane_are_told(road):
+    node = road.first[[1, 1, 1, 5]] + 50
+    x, y = road.graph.node_xy[node].astype(np.float64).T
+    beyond = road.beyond_lane(np.r_[node, -1], np.r_[x, 0.0], np.r_[y + np.array((0.0, 1.7, 1.9, -1.9)), 0.0])
+    assert beyond.tolist() == [False, False, True, True, False]  # lanes are 3.6 m wide
