@@ -70,7 +70,7 @@ class PhaseFleet(StepListener):
             PhaseError: SUMO was started without an option that PHASE needs, or an argument cannot be used.
         """
         drive = (options or DriveOptions()).changed(changes)
-        check_options(api)
+        check_options(api, drive.sumo_options)
         option = api.simulation.getOption
         self.choice = drive.choice(int(option("seed")) if drive.seed is None else drive.seed)
         self.simulation = Simulation(api)
@@ -238,6 +238,7 @@ class PhaseFleet(StepListener):
             "mean_travel_time": sum(travel) / len(travel) if travel else None,
             "mean_depart_delay": sum(t.delay for t in trips) / len(trips) if trips else None,
             "waiting_for_insertion": self._waiting(),
+            "teleports": self.scene.teleports,
             "accounts": accounts,
             "accounts_balance": accounts["inserted"]
             == sum(v for k, v in accounts.items() if k != "inserted"),

@@ -112,6 +112,7 @@ def check(args: argparse.Namespace) -> Any:
 
     found = check_scenario(scenario_of(args), drive_options(args))
     print("\n".join(found.lines()))
+    say_changes(found.changed)
     return found.to_json()
 
 
@@ -130,6 +131,7 @@ def run(args: argparse.Namespace) -> Any:
             progress=progress,
         )
     print("\n".join(Check(**result["check"]).lines()))
+    say_changes(result["check"]["changed"])
     for name, value in result.items():
         if not isinstance(value, dict):
             print(f"{name}: {f'{value:.4g}' if isinstance(value, float) else value}")
@@ -151,8 +153,15 @@ def compare(args: argparse.Namespace) -> Any:
             write_report=write_report,
             progress=progress,
         )
+    say_changes(result["check"]["changed"])
     print(f"report: {result['report']}")
     return result
+
+
+def say_changes(changed: list[str]) -> None:
+    """What was not as the scenario says, one line each."""
+    for text in changed:
+        print(f"phase-sumo: changed: {text}", file=sys.stderr)
 
 
 def seeds_of(numbers: list[int], first: int) -> list[int]:

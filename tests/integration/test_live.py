@@ -242,11 +242,9 @@ def test_sumo_failing_on_the_way_is_one_clear_error_and_no_harm_to_the_next_run(
     ("options", "words"),
     [
         ([], "collision.action=teleport.*--collision.action warn"),
-        (["--collision.action", "warn"], "time-to-teleport=300.*--time-to-teleport -1"),
         ([*phase_sumo.SUMO_OPTIONS, "--lanechange.duration", "3"], "lanechange.duration=3.*may crash"),
         ([*phase_sumo.SUMO_OPTIONS, "--mesosim", "true"], "mesosim"),
         ([*phase_sumo.SUMO_OPTIONS, "--step-length", "0.25"], "step-length 0.25"),
-        ([*phase_sumo.SUMO_OPTIONS, "--time-to-teleport.highways", "9"], "teleport.highways=9"),
     ],
 )
 def test_a_simulation_that_lacks_what_phase_needs_is_refused(started, options, words):

@@ -73,9 +73,8 @@ class Fleet:
         self._hand_backs = HandBack(scene.session)
         self._adoption = Adoption(scene, self._road, choice, drivers, self._plans, self._ways)
         self._edge = RoadEdgeMonitor(self._road, scene.table, scene.events)
-        self._writer = PoseWriter(self._api, self._road, scene.table)
+        self._writer = PoseWriter(self._api, self._road, scene.table, publish_hitch)
         self._lane_id = bare(self._api, "vehicle", "getLaneID")
-        self._publish_hitch = publish_hitch
 
     @property
     def cpu_per_decision(self) -> float:
@@ -121,6 +120,10 @@ class Fleet:
             trip = self._scene.trips[vehicle]
             trip.finished = math.isfinite(trip.arrive)
             self._drop(vehicle)
+        for vehicle in [v for v in self._scene.teleported if v in self._members]:
+            self._node[self._table.row_of[vehicle]] = -1
+            self._hand_back(vehicle, "SUMO teleports it")
+            self._scene.leave(vehicle)
         self._adoption.forget_absent()
         self._ways.update()
         self._locate()
@@ -158,7 +161,7 @@ class Fleet:
         for vehicle in [vehicle for vehicle, ends in zip(self._members, past, strict=True) if ends]:
             self._finish(vehicle)
         rows = self._rows()
-        self._count(rows, metres[rows])
+        self._count(metres[rows])
         front = np.stack((front_x[rows], front_y[rows]), -1)
         self._writer.write(self._members, rows, self._node[rows], front, time)
         self._hand_backs.settle()
@@ -168,18 +171,13 @@ class Fleet:
         row_of = self._table.row_of
         return np.fromiter((row_of[vehicle] for vehicle in self._members), np.int64, len(self._members))
 
-    def _count(self, rows: IntArray, metres: FloatArray) -> None:
-        """Add the step, of ``metres`` [n] for each member, to the trips, and publish hitch angles."""
-        table, trips = self._table, self._scene.trips
-        seconds = self._scene.session.step_length
+    def _count(self, metres: FloatArray) -> None:
+        """Add the step, of ``metres`` [n] for each member, to the trips."""
+        trips, seconds = self._scene.trips, self._scene.session.step_length
         for vehicle, driven in zip(self._members, metres.tolist(), strict=True):
             trip = trips[vehicle]
             trip.policy_seconds += seconds
             trip.policy_metres += driven
-        if self._publish_hitch:
-            for row in rows[table["trailer_length"][rows] > 0].tolist():
-                hitch = f"{table['hitch'][row]:.6f}"
-                self._api.vehicle.setParameter(table.ids[row], "phase.hitch", hitch)
 
     def _locate(self) -> None:
         """Nodes of all rows; empty rows and rows that changed hands start anew."""

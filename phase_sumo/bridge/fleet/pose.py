@@ -30,8 +30,10 @@ class PoseWriter:
     and finds out.
     """
 
-    def __init__(self, api: ModuleType, road: Road, table: VehicleTable) -> None:
+    def __init__(self, api: ModuleType, road: Road, table: VehicleTable, publish_hitch: bool = False) -> None:
+        """``publish_hitch`` keeps the hitch angle in rad in each trailer's parameter ``phase.hitch``."""
         self._api, self._road, self._table = api, road, table
+        self._publish_hitch = publish_hitch
         self._move = bare(api, "vehicle", "moveToXY")
         self._set_speed = bare(api, "vehicle", "setSpeed")
         files = (api.simulation.getOption(name) for name in ("route-files", "additional-files"))
@@ -69,6 +71,9 @@ class PoseWriter:
             move(vehicle, edge, index, x + left, y + below, heading, MOVE, MATCH)
             # else SUMO reports the bumper's mean speed along the lane, clamped to the limit
             set_speed(vehicle, driven)
+        for row in rows[self._table["trailer_length"][rows] > 0].tolist() if self._publish_hitch else ():
+            hitch = f"{self._table['hitch'][row]:.6f}"
+            self._api.vehicle.setParameter(self._table.ids[row], "phase.hitch", hitch)
 
     def _told(self, node: int) -> tuple[str, int]:
         """Edge and index of the lane for SUMO, which might take that of another level."""

@@ -20,6 +20,7 @@ MATCH_RADIUS = 6.0  # m, farther from any lane centre is off the road
 MATCH_YAW = np.radians(75.0)
 TIGHTEST = 12.0  # m, radius of turns at crossings; ramps of motorways are wider
 OVERLAP = 2.0  # m between the centres of two lanes up to which a vehicle may be counted on either
+ASTRAY = 1.5  # m beside a lane, from where on a vehicle does not find back by itself
 REMATCH = 2.6  # m from the tracked node, from where on the whole graph is searched
 YAW_COST = 4.0  # m per rad when nodes compete in a search of the whole graph
 
@@ -123,11 +124,11 @@ class Road:
         return here, best
 
     def beyond_lane(self, node: IntArray, x: FloatArray, y: FloatArray) -> BoolArray:
-        """[n] whether positions lie beside the lanes of their nodes [n], -1 for none: False."""
+        """[n] whether positions are more than `ASTRAY` beside the lanes of their nodes [n], -1 for none."""
         graph, known = self.graph, node >= 0
         at, yaw = graph.node_xy[node], graph.node_yaw[node]
         aside = np.abs((y - at[:, 1]) * np.cos(yaw) - (x - at[:, 0]) * np.sin(yaw))
-        return known & (aside > 0.5 * self._width[graph.node_lane[node]])
+        return known & (aside > 0.5 * self._width[graph.node_lane[node]] + ASTRAY)
 
     def overlapping(self, node: int, x: float, y: float, lanes: BoolArray) -> int:
         """The nearest node on one of some ``lanes`` [L] that overlap here with a vehicle's own.

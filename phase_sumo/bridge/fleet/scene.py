@@ -80,6 +80,8 @@ class Scene:
         types: vehicle id -> vType id of the present vehicles.
         lane_of: lane id of the SUMO-driven vehicles in the table.
         departed: ids inserted in the last step.
+        teleported: ids that SUMO took off the road in the last step, to put them back elsewhere.
+        teleports: how often it did so.
         events: what happened.
     """
 
@@ -98,6 +100,8 @@ class Scene:
         self.types: dict[str, str] = {}
         self.lane_of: dict[str, str] = {}
         self.departed: tuple[str, ...] = ()
+        self.teleported: tuple[str, ...] = ()
+        self.teleports = 0
         self.events = EventLog(session, self.table, self.types)
         self._observed = observed_edges
         self._edge_of: dict[str, str] = {}
@@ -116,6 +120,12 @@ class Scene:
             if vehicle in self.facts:
                 self.trips[vehicle].arrive = time
                 self.forget(vehicle)
+        self.teleported = tuple(self.api.simulation.getStartingTeleportIDList())
+        self.teleports += len(self.teleported)
+        for vehicle in self.teleported:
+            row = self.table.row_of.get(vehicle)
+            if row is not None and not self.table.controlled[row]:
+                self.leave(vehicle)
         present = self.api.vehicle.getIDList()
         if len(present) != len(self.facts):
             for vehicle in set(self.facts) - set(present):
@@ -137,6 +147,10 @@ class Scene:
     def forget(self, vehicle: str) -> None:
         """The vehicle left the simulation."""
         del self.facts[vehicle], self.types[vehicle]
+        self.leave(vehicle)
+
+    def leave(self, vehicle: str) -> None:
+        """The vehicle left the observed road."""
         self.lane_of.pop(vehicle, None)
         if vehicle in self.table.row_of:
             self.table.remove(vehicle)
@@ -190,8 +204,7 @@ class Scene:
             lane = lane_id(vehicle)
             if not self._is_observed(vehicle, lane, row is not None):
                 if row is not None:
-                    table.remove(vehicle)
-                    self.lane_of.pop(vehicle, None)
+                    self.leave(vehicle)
                 continue
             if row is None:
                 row = table.add(vehicle, self.facts[vehicle].shape)

@@ -6,6 +6,7 @@ PHASE and SUMO-only runs of a scenario get the same command line, so that only t
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,14 +17,9 @@ from phase_sumo.bridge.sumo.option_names import TRUE, parse_options, sumo_option
 from phase_sumo.bridge.sumo.scenario_file import existing, read_config, seconds
 from phase_sumo.errors import PhaseError
 
-# The same for every run: a controlled vehicle must neither teleport nor vanish in a collision
-FORCED = {
-    "time-to-teleport": "-1",
-    "collision.action": "warn",
-    "collision.mingap-factor": "0",
-}
-SUMO_OPTIONS = tuple(text for name, value in FORCED.items() for text in (f"--{name}", value))
-FORCED_IF_SET = {"time-to-teleport.highways": "-1", "time-to-teleport.disconnected": "-1"}
+# The same for every run, where neither the scenario nor the user says otherwise: collisions are counted
+COUNTED = {"collision.action": "warn", "collision.mingap-factor": "0"}
+SUMO_OPTIONS = tuple(text for name, value in COUNTED.items() for text in (f"--{name}", value))
 INTERNAL = 'function="internal"'  # lanes inside junctions, in a network file
 NO_SUBLANES = (
     "{}: has no internal lanes, where SUMO's sublane model crashes once vehicles are moved: run with "
@@ -44,11 +40,8 @@ OUTPUTS = re.compile(
     r"device\.(ssm|toc|fcd)\.file|device\..*\.output"
 )
 WHY = {
-    "time-to-teleport": "SUMO would move PHASE vehicles that stand; the same in all runs that are compared",
-    "time-to-teleport.highways": "as above",
-    "time-to-teleport.disconnected": "as above",
-    "collision.action": "SUMO would move or take out PHASE vehicles that touch; collisions are counted",
-    "collision.mingap-factor": "a collision is that boxes touch, not that they are near",
+    "collision.action": "the scenario says nothing of it; SUMO would move vehicles that touch, we count them",
+    "collision.mingap-factor": "the scenario says nothing of it; a collision is that boxes touch",
     "lateral-resolution": "the network has no internal lanes: SUMO crashes there once vehicles are moved",
     "random": "a seed is given",
 }
@@ -147,34 +140,36 @@ def read_scenario(path: str | Path | None, sumo_options: list[str] | tuple[str, 
     )
 
 
-def check_options(api: Any) -> None:
+def check_options(api: Any, sumo_options: Sequence[str] = ()) -> None:
     """Refuse a simulation that somebody started without what PHASE needs.
 
     Args:
         api: ``libsumo``, ``traci`` or one of its connections.
+        sumo_options: words with which it was started, as far as they are known.
     """
     option = api.simulation.getOption
     needed = " ".join(SUMO_OPTIONS)
     if option("mesosim") == "true":
         raise PhaseError("SUMO runs with mesosim: PHASE needs positions in the lane; start it without")
-    if option("collision.action") != FORCED["collision.action"]:
+    if option("collision.action") == "teleport" and not _asks_for("collision.action", option, sumo_options):
         raise PhaseError(
-            f"SUMO runs with collision.action={option('collision.action')}: it would move PHASE vehicles "
-            f"that touch; start it with {needed}"
+            "SUMO runs with collision.action=teleport: it would move PHASE vehicles that touch; start it "
+            f"with {needed}, or ask for it in the scenario"
         )
     if float(option("lateral-resolution")) > 0 and not any(e.startswith(":") for e in api.edge.getIDList()):
         raise PhaseError(NO_SUBLANES.format(option("net-file")).replace(": run with ", "; start it with --"))
-    for name, below in (
-        ("time-to-teleport", 0.0),
-        ("time-to-teleport.highways", 0.0),
-        ("time-to-teleport.disconnected", -1e-3),
-        ("lanechange.duration", 0.0),
-    ):
-        text = option(name)
-        if seconds(None, name, text) > below:
-            value = "0" if name == "lanechange.duration" else "-1"
-            why = "SUMO may crash" if name == "lanechange.duration" else "it would move PHASE vehicles"
-            raise PhaseError(f"SUMO runs with {name}={text}: {why}; start it with --{name} {value}")
+    text = option("lanechange.duration")
+    if seconds(None, "lanechange.duration", text) > 0.0:
+        raise PhaseError(
+            f"SUMO runs with lanechange.duration={text}: SUMO may crash; start it with "
+            "--lanechange.duration 0"
+        )
+
+
+def _asks_for(name: str, option: Callable[[str], str], sumo_options: Sequence[str]) -> bool:
+    """Whether a running simulation's scenario or command line names an option."""
+    path = option("configuration-file")
+    return name in parse_options(list(sumo_options)) or bool(path and name in read_config(Path(path)))
 
 
 @dataclass(frozen=True)
@@ -194,13 +189,13 @@ def changes(scenario: SumoScenario, seed: int | None = None, end: float | None =
     """What is not as the scenario says, or as SUMO does where the scenario says nothing, and why."""
     found = []
     for name, after in overrides(scenario, seed, end).items():
-        said, forced = scenario.config.get(name), name in WHY and name not in scenario.user
-        if said is None and not forced:
+        said, ours = scenario.config.get(name), name in WHY and name not in scenario.user
+        if said is None and not ours:
             continue  # more than the scenario says, not otherwise
         before = sumo_options()[name].default if said is None else said
         if not _same(name, before, after):
             why = NOISE if name in QUIET else ASKED
-            found.append(Change(name, before, after, WHY[name] if forced else why))
+            found.append(Change(name, before, after, WHY[name] if ours else why))
     return found
 
 
@@ -210,7 +205,7 @@ def _same(name: str, a: str, b: str) -> bool:
     except PhaseError:
         kind = sumo_options()[name].kind if name in sumo_options() else ""
         return (a.lower() in TRUE) == (b.lower() in TRUE) if kind == "BOOL" else a == b
-    return one == other or (name.startswith("time-to-teleport") and max(one, other) <= 0.0)
+    return one == other
 
 
 def overrides(scenario: SumoScenario, seed: int | None = None, end: float | None = None) -> dict[str, str]:
@@ -220,15 +215,15 @@ def overrides(scenario: SumoScenario, seed: int | None = None, end: float | None
         seed, end: win over the scenario's, but not over the user's own options.
     """
     options = {k: v for k, v in QUIET.items() if k not in scenario.user}
-    options |= {k: v for k, v in FORCED_IF_SET.items() if k in scenario.config}
-    options |= FORCED
+    options |= {k: v for k, v in COUNTED.items() if k not in scenario.config}
     if scenario.warnings:
         options["lateral-resolution"] = "0"
     if seed is not None:
         options |= {"seed": str(seed), "random": "false"}
     if end is not None:
         options["end"] = f"{end:g}"
-    return options | {k: v for k, v in scenario.user.items() if k not in options or k in ("seed", "end")}
+    users = ("seed", "end", *COUNTED)
+    return options | {k: v for k, v in scenario.user.items() if k not in options or k in users}
 
 
 def command(
@@ -317,8 +312,3 @@ def _refuse(path: Path | None, merged: dict[str, str], user: dict[str, str]) -> 
             )
     if "configuration-file" in user:
         raise PhaseError("a second scenario behind --: pass one, as CFG.sumocfg or with -c")
-    for name, value in FORCED.items():
-        if name in user and user[name] != value:
-            raise PhaseError(
-                f"SUMO option --{name} {user[name]}: PHASE needs {value} in every run; leave it out"
-            )

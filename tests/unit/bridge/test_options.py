@@ -53,12 +53,12 @@ def test_scenario_is_read(scenario_file):
     assert (scenario.begin, scenario.end, scenario.step_length) == (0.0, 30.0, 0.1)
 
 
-def test_users_options_win_and_forced_ones_are_there(scenario_file, tmp_path):
+def test_users_options_win_and_ours_are_there(scenario_file, tmp_path):
     scenario = read_scenario(scenario_file(), ["-e", "00:01:00", "--seed=7", "--fcd-output", "x.xml"])
     assert scenario.end == 60.0
     found = values(command(scenario, tmp_path / "out", seed=3))
     assert found["--seed"] == "7"
-    assert found["--time-to-teleport"] == "-1"
+    assert "--time-to-teleport" not in found  # SUMO's default holds
     assert found["--collision.action"] == "warn"
     assert found["--fcd-output"] == "x.xml"
 
@@ -78,9 +78,14 @@ def test_what_cannot_work_is_refused_with_a_remedy(scenario_file, options, named
     read_scenario(path, [f"--{named}", "false" if named == "mesosim" else "0"])
 
 
-def test_forced_options_cannot_be_changed(scenario_file):
-    with pytest.raises(PhaseError, match=r"collision\.action"):
-        read_scenario(scenario_file(), ["--collision.action", "remove"])
+def test_what_becomes_of_collisions_is_the_scenarios_and_the_users(scenario_file, tmp_path):
+    path = scenario_file('<collision.action value="remove"/><collision.mingap-factor value="1"/>')
+    found = values(command(read_scenario(path), tmp_path / "a"))
+    assert not {"--collision.action", "--collision.mingap-factor"} & set(found)
+    assert not changes(read_scenario(path))
+    asked = read_scenario(path, ["--collision.action", "none"])
+    assert values(command(asked, tmp_path / "b"))["--collision.action"] == "none"
+    assert [str(c) for c in changes(asked)] == ["collision.action remove -> none (the command line says so)"]
 
 
 @pytest.mark.parametrize(
@@ -211,13 +216,13 @@ def test_lists_and_variables_are_read_as_by_sumo(monkeypatch):
 def test_what_is_changed_is_said(scenario_file):
     path = scenario_file('<random_number><seed value="5"/></random_number><time-to-teleport value="120"/>')
     told = {c.option: str(c) for c in changes(read_scenario(path, ["-e", "60"]), seed=None)}
-    assert told["time-to-teleport"].startswith("time-to-teleport 120 -> -1 (SUMO would move")
-    assert told["collision.action"].startswith("collision.action teleport -> warn")
+    assert "time-to-teleport" not in told
+    assert told["collision.action"].startswith("collision.action teleport -> warn (the scenario says nothing")
     assert told["end"] == "end 30 -> 60 (the command line says so)"
     assert "seed" not in told
     assert [c.option for c in changes(read_scenario(path), seed=7) if "seed" in c.option] == ["seed"]
     assert not [c for c in changes(read_scenario(path), seed=5) if "seed" in c.option]
-    quiet = scenario_file('<report><time-to-teleport value="0"/><collision.action value="warn"/></report>')
+    quiet = scenario_file('<report><collision.action value="warn"/></report>')
     assert [c.option for c in changes(read_scenario(quiet))] == ["collision.mingap-factor"]
 
 

@@ -227,5 +227,5 @@ def test_an_acceleration_lane_is_no_end_of_the_road(road):
 def test_positions_beside_their_lane_are_told(road):
     node = road.first[[1, 1, 1, 5]] + 50
     x, y = road.graph.node_xy[node].astype(np.float64).T
-    beyond = road.beyond_lane(np.r_[node, -1], np.r_[x, 0.0], np.r_[y + np.array((0.0, 1.7, 1.9, -1.9)), 0.0])
+    beyond = road.beyond_lane(np.r_[node, -1], np.r_[x, 0.0], np.r_[y + np.array((0.0, 3.2, 3.4, -3.4)), 0.0])
     assert beyond.tolist() == [False, False, True, True, False]  # lanes are 3.6 m wide
