@@ -173,6 +173,12 @@ def scenario_of(args: argparse.Namespace) -> str | None:
     """The ``.sumocfg`` in either spelling; None when SUMO's options name the network instead."""
     from phase_sumo.bridge.sumo.option_names import parse_options
 
+    for option in ("types", "models"):
+        for name in getattr(args, option, ()):
+            if name.endswith(".sumocfg"):
+                raise PhaseError(
+                    f"{name}: read as one of --{option}; put the scenario before it, or behind -c"
+                )
     if args.cfg and args.config:
         raise PhaseError(f"two scenarios, {args.cfg} and {args.config}: pass one")
     if not args.cfg and not args.config and "net-file" not in parse_options(args.sumo_options):

@@ -8,6 +8,7 @@ import pytest
 
 from phase_sumo.bridge.check import Check, check_scenario
 from phase_sumo.bridge.drive_options import DriveOptions
+from phase_sumo.bridge.sumo import demand, demand_survey
 from phase_sumo.errors import PhaseError
 from tests.helpers.scenario_files import write_scenario
 from tests.helpers.small_nets import SmallNet, lanes_from
@@ -52,6 +53,15 @@ def net(tmp_path):
 def checked(folder, net, routes=ROUTES, additional=ADDITIONAL, options="", **drive) -> Check:
     cfg = write_scenario(folder, routes, net=net, additional=additional, options=options)
     return check_scenario(cfg, DriveOptions(**drive))
+
+
+def test_each_file_of_the_demand_is_read_once(net, tmp_path, monkeypatch):
+    opened: list[str] = []
+    monkeypatch.setattr(
+        demand_survey, "open_input", lambda path: opened.append(path.name) or demand.open_input(path)
+    )
+    assert checked(tmp_path, net).stops["on_driven_roads"] == 1
+    assert len(opened) == len(set(opened)) == 2
 
 
 def test_what_is_driven_and_what_is_left_is_counted(net, tmp_path):
