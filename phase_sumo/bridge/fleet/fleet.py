@@ -26,6 +26,7 @@ from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import past_end, remaining
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.fleet.target_speeds import TargetSpeeds
+from phase_sumo.bridge.sumo.restrictions import restrictions
 from phase_sumo.bridge.sumo.session import bare
 
 HAND_BACK_TIME, HAND_BACK_ROOM = 3.5, 30.0  # s, at least m, before the observed road's end: SUMO takes over
@@ -59,7 +60,7 @@ class Fleet:
         calibrator = self._api.calibrator
         self._road.edges -= {calibrator.getEdgeID(name) for name in calibrator.getIDList()}
         self._planner = GoalPlanner(self._road, scene.table)
-        self._rules = LaneRules(self._api, self._road)
+        self._rules = LaneRules(self._api, self._road, restrictions(self._api))
         self._ways = RightOfWay(self._api, self._road)
         self._speeds = TargetSpeeds(self._road, scene.table, self._ways.yields)
         self._guarding = Guarding(scene.table, scene.trips)

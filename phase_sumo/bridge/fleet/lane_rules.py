@@ -6,7 +6,7 @@ lanes are asked from time to time.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -25,9 +25,14 @@ SUMO_LEFT = {False: (1, -1), True: (-1, 1)}  # SUMO's directions to the left and
 class LaneRules:
     """The present rules of every lane, read from SUMO."""
 
-    def __init__(self, api: Any, road: Road) -> None:
+    def __init__(
+        self, api: Any, road: Road, restrictions: Mapping[str, Mapping[str, float]] | None = None
+    ) -> None:
+        """``restrictions``: edge -> vehicle class -> m/s, beside those that the network holds."""
         self._road = road
         lanes = road.network.lanes
+        more = restrictions or {}
+        self._class_limits = [{**dict(lane.class_limits), **more.get(lane.edge, {})} for lane in lanes]
         self._limit = bare(api, "lane", "getMaxSpeed")
         self._closed = bare(api, "lane", "getDisallowed")
         self._changes = bare(api, "lane", "getChangePermissions")
@@ -113,9 +118,7 @@ class LaneRules:
         for k, flags in enumerate((rules.left, rules.right)):
             may = np.array([vehicle_class in ways[k] for ways in self._may_change])
             flags[:] = may[self._source] & (abreast[k] >= 0)
-        own = np.array(
-            [dict(lane.class_limits).get(vehicle_class, np.inf) for lane in self._road.network.lanes]
-        )
+        own = np.array([limits.get(vehicle_class, np.inf) for limits in self._class_limits])
         restricted = np.isfinite(own)
         changed = np.abs(self._now - self._written) > 1e-3
         rules.limit[:] = np.where(restricted, own, self._now)

@@ -32,7 +32,7 @@ from tests.helpers.small_nets import SmallNet, lanes_from
         (["search", "missing.sumocfg", "--out", "{tmp}/o"], ["missing.sumocfg"]),
         (["steer", "--policy", "no.safetensors", "--out", "{tmp}/o"], ["no.safetensors"]),
         (["run", "x.sumocfg", "--alpha", "7"], ["--alpha", "0.1..1"]),
-        (["run", "--types", "car", "x.sumocfg"], ["x.sumocfg", "--types", "before that"]),
+        (["run", "--types", "car", "x.sumocfg"], ["x.sumocfg", "--types", "before it"]),
         (["check", "-n", "a.net.xml", "--types", "x.sumocfg"], ["x.sumocfg", "--types"]),
         (["compare", "--models", "phase", "x.sumocfg", "--out", "{tmp}/o"], ["x.sumocfg", "--models"]),
     ],
