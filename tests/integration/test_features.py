@@ -26,7 +26,8 @@ RAILS = (
 def test_a_rail_crossing_is_not_entered_before_a_train(tmp_path):
     train = (
         '<vType id="train" vClass="rail" length="100"/>'
-        '<vehicle id="train" type="train" depart="0" departSpeed="10" departPos="base"><route edges="s n"/></vehicle>'
+        '<vehicle id="train" type="train" depart="0" departSpeed="10" departPos="base">'
+        '<route edges="s n"/></vehicle>'
     )
     cars = '<flow id="c" type="car" from="w" to="e" begin="0" end="9" period="3" departSpeed="18"/>'
     run = Run(tmp_path, RAILS, train + cars, end=90)

@@ -21,12 +21,12 @@ from phase_sumo.bridge.fleet.occupancy import STANDING, Occupancy, standing_room
 from phase_sumo.bridge.fleet.parameters import TARGET_SPEEDS, Choice
 from phase_sumo.bridge.fleet.plans import Plans, stops_soon
 from phase_sumo.bridge.fleet.pose import PoseWriter
+from phase_sumo.bridge.fleet.restrictions import restrictions
 from phase_sumo.bridge.fleet.right_of_way import RightOfWay
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.route import past_end, remaining
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.fleet.target_speeds import TargetSpeeds
-from phase_sumo.bridge.sumo.restrictions import restrictions
 from phase_sumo.bridge.sumo.session import bare
 
 HAND_BACK_TIME, HAND_BACK_ROOM = 3.5, 30.0  # s, at least m, before the observed road's end: SUMO takes over

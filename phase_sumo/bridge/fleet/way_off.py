@@ -16,7 +16,7 @@ from phase_sumo.bridge.sumo.session import bare
 
 LAST_TIME, LAST_ROOM = 0.7, 5.0  # s of driving, at least m, to the end: SUMO must see its next junction
 BRAKING = 2.5  # m/s^2 that SUMO may need
-REACTION, FREE = 1.0, 10.0  # s and m more to those ahead
+REACTION, FREE = 0.7, 4.0  # s and m more to those ahead
 
 
 class WayOff:

@@ -1,4 +1,4 @@
-"""Limits of vehicle classes that additional files give roads by their type; those of the network are its own."""
+"""Limits of vehicle classes that additional files give roads by their type, beside the network's own."""
 
 from __future__ import annotations
 
