@@ -15,6 +15,7 @@ from phase_sumo.sim.lane_graph import LaneGraph
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 WINDOW = 6  # m before and behind a node over which its road turns: a kink is driven as an arc of that length
+LONGEST = 24  # m to either side over which a slight kink is cut
 SIDEWAYS, SIDEWAYS_TRUCK = 3.0, 2.0  # m/s^2 in a curve
 BRAKING = 1.2  # m/s^2 on the way to it
 FASTEST = 40.0  # m/s, of all vehicles
@@ -26,15 +27,22 @@ def braked_to(speed: FloatArray, metres: FloatArray) -> FloatArray:
     return np.minimum(np.sqrt(speed * speed + 2.0 * BRAKING * metres), FASTEST)
 
 
-def lane_speeds(graph: LaneGraph, sideways: float) -> FloatArray:
+def lane_speeds(graph: LaneGraph, sideways: float, slack: float = 0.0) -> FloatArray:
     """The speed at each node with which no curve ahead in its lane asks for more than ``sideways`` m/s^2.
 
     v_c = sqrt(sideways / |kappa|) in the curve, kappa the turn of the road over `WINDOW` m to either side.
+    A slight kink is no curve: who may be ``slack`` m beside the lane's middle cuts a turn of theta rad on an
+    arc over w = 4 slack / theta m to either side, `WINDOW` to `LONGEST`, with kappa = theta / 2w.
 
     Returns:
         [V] m/s, up to `FASTEST`.
     """
     highest = np.minimum(sideways / np.maximum(np.abs(graph.curvature(WINDOW)), 1e-6), FASTEST**2)
+    if slack > 0.0:
+        turns = [np.abs(graph.curvature(w)) * 2.0 * w for w in (WINDOW, LONGEST // 2, LONGEST)]
+        turn = np.maximum(np.max(turns, 0), 1e-6)
+        reach = np.clip(4.0 * slack / turn, WINDOW, LONGEST)
+        highest = np.maximum(highest, np.minimum(sideways * 2.0 * reach / turn, FASTEST**2))
     # v^2 + 2 b s of the slowest place ahead in the lane; what comes in later lanes is kept out of reach
     metres = graph.along - graph.along[graph.lane_start]
     ahead = highest + 2.0 * BRAKING * metres + LATER * graph.node_lane

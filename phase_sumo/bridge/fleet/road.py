@@ -19,6 +19,7 @@ from phase_sumo.sim.road_map import RoadMap
 MATCH_RADIUS = 6.0  # m, farther from any lane centre is off the road
 MATCH_YAW = np.radians(75.0)
 TIGHTEST = 12.0  # m, radius of turns at crossings; ramps of motorways are wider
+SLACK, SLACK_TRUCK = 0.4, 0.2  # m beside the middle of the lane in slight kinks
 OVERLAP = 2.0  # m between the centres of two lanes up to which a vehicle may be counted on either
 ASTRAY = 1.5  # m beside a lane, from where on a vehicle does not find back by itself
 REMATCH = 2.6  # m from the tracked node, from where on the whole graph is searched
@@ -69,7 +70,8 @@ class Road:
         self.abreast = _abreast(network)
         self.left, self.right = _nodes_abreast(network, self.graph, self.abreast)
         self._step = self._neighbourhood()
-        self.curve_speed = np.stack([lane_speeds(self.graph, force) for force in (SIDEWAYS, SIDEWAYS_TRUCK)])
+        kinds = (SIDEWAYS, SLACK), (SIDEWAYS_TRUCK, SLACK_TRUCK)
+        self.curve_speed = np.stack([lane_speeds(self.graph, *kind) for kind in kinds])
 
     @property
     def map(self) -> RoadMap:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_sumo.sim.curve_speed import BRAKING, FASTEST, WINDOW, exit_speeds, lane_speeds
+from phase_sumo.sim.curve_speed import BRAKING, FASTEST, LONGEST, WINDOW, exit_speeds, lane_speeds
 from phase_sumo.sim.lane_graph import build_lane_graph
 from phase_sumo.sim.lanes import Lane, LaneNetwork
 
@@ -67,3 +67,27 @@ def test_a_ring_of_lanes_settles():
     speed = exit_speeds(first, np.array([40.0, 40.0]), np.array([1, 0]))
     assert speed[1] == 12.0
     assert speed[0] == pytest.approx(np.sqrt(144.0 + 2 * BRAKING * 40.0))
+
+
+def bent(*turns: float, every: float = 300.0):
+    """Straight pieces that meet at angles in degrees."""
+    yaw = np.radians(np.cumsum((0.0, *turns)))
+    steps = every * np.stack((np.cos(yaw), np.sin(yaw)), -1)
+    return graph_of(np.concatenate((np.zeros((1, 2)), np.cumsum(steps, 0))))
+
+
+@pytest.mark.parametrize(("degrees", "slack"), [(4.0, 0.4), (5.0, 0.4), (7.0, 0.2), (7.0, 0.4)])
+def test_a_slight_kink_is_cut_within_the_lane(degrees, slack):
+    """An arc that is tangent w m before and behind a corner of theta passes it in w theta / 4."""
+    graph = bent(degrees)
+    reach = np.clip(4.0 * slack / np.radians(degrees), WINDOW, LONGEST)
+    wanted = min(np.sqrt(3.0 * 2.0 * reach / np.radians(degrees)), FASTEST)
+    assert lane_speeds(graph, 3.0, slack).min() == pytest.approx(wanted, rel=0.05)
+    assert lane_speeds(graph, 3.0).min() == pytest.approx(np.sqrt(3.0 * 12.0 / np.radians(degrees)), rel=0.05)
+
+
+def test_curves_and_sharp_kinks_are_not_cut():
+    curve = straight_then_curve()
+    assert lane_speeds(curve, 3.0, 0.4) == pytest.approx(lane_speeds(curve, 3.0), rel=0.02)
+    for sharp in (bent(25.0), bent(25.0, -25.0, every=20.0)):
+        assert lane_speeds(sharp, 3.0, 0.4) == pytest.approx(lane_speeds(sharp, 3.0), rel=0.02)
