@@ -8,8 +8,8 @@ import libsumo
 import pytest
 
 import phase_sumo
+from tests.helpers.rules_run import FLOW, LANES, RAMP, ROAD, Run, taken_back
 from tests.helpers.standin import Standin
-from tests.integration.test_rules import FLOW, LANES, RAMP, ROAD, Run, taken_back
 
 OPEN = LANES[0], LANES[1].format(lanes=""), ""
 RAILS = (
@@ -68,6 +68,27 @@ def test_a_zipper_shared_with_sumos_vehicles(tmp_path):
     assert run.result["collisions"] == 0
     assert run.result["accounts"]["arrived"] == run.result["vehicles"] == 6
     assert min(s.speed for seen in run.seen.values() for s in seen) > 2.0  # nobody has to stand
+
+
+def test_parking_areas_and_their_rerouters_are_sumos(tmp_path):
+    areas = "".join(
+        f'<parkingArea id="{name}" lane="{lane}" startPos="150" endPos="170" roadsideCapacity="1"/>'
+        for name, lane in (("full", "m1_0"), ("free", "m2_0"))
+    )
+    rerouter = (
+        '<rerouter id="r" edges="m0"><interval begin="0" end="100"><parkingAreaReroute id="full" visible="true"/>'
+        '<parkingAreaReroute id="free" visible="true"/></interval></rerouter>'
+    )
+    cars = "".join(
+        f'<vehicle id="{name}" type="car" depart="{at}" departLane="0" departSpeed="20">'
+        '<route edges="m0 m1 m2"/><stop parkingArea="full" duration="60"/></vehicle>'
+        for name, at in (("a", 0), ("b", 40))
+    )
+    run = Run(tmp_path, OPEN, cars, areas + rerouter, end=180)
+    stood = {v: {s.lane for s in seen if s.speed < 0.1} for v, seen in run.seen.items()}
+    assert stood == {"a": {"m1_0"}, "b": {"m2_0"}}
+    assert run.result["arrived"] == 2 and run.result["collisions"] == 0
+    assert "a stop ahead" in run.reasons() and taken_back(run, "a")
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 from phase_sumo.bridge.fleet.event_log import read_events
 from phase_sumo.bridge.run import run_scenario
 from tests.helpers.scenario_files import write_scenario
-from tests.integration.test_wrecks import ASTRIDE, VEHICLE, Unmoved
+from tests.helpers.unmoved import ASTRIDE, VEHICLE, Unmoved
 
 
 def drive(folder, routes, options, driver, **changes):
