@@ -76,8 +76,9 @@ def test_parking_areas_and_their_rerouters_are_sumos(tmp_path):
         for name, lane in (("full", "m1_0"), ("free", "m2_0"))
     )
     rerouter = (
-        '<rerouter id="r" edges="m0"><interval begin="0" end="100"><parkingAreaReroute id="full" visible="true"/>'
-        '<parkingAreaReroute id="free" visible="true"/></interval></rerouter>'
+        '<rerouter id="r" edges="m0"><interval begin="0" end="100">'
+        '<parkingAreaReroute id="full" visible="true"/><parkingAreaReroute id="free" visible="true"/>'
+        "</interval></rerouter>"
     )
     cars = "".join(
         f'<vehicle id="{name}" type="car" depart="{at}" departLane="0" departSpeed="20">'
