@@ -8,11 +8,13 @@ import torch
 from torch import Tensor
 
 from phase_sumo.config import GuardConfig, SimConfig
+from phase_sumo.sim.geometry import wrap_angle
 from phase_sumo.sim.kinematics import bounded_accel, steer_limit
-from phase_sumo.sim.path import Path
+from phase_sumo.sim.path import Path, Sight
 from phase_sumo.sim.vehicles import TensorBatch, VehicleShape, VehicleState
 
 PIECE = 8.5  # m
+SHORTEST = 2.0  # m in which a slow vehicle turns along its path
 STEPS = 80  # until everybody stands: 40 m/s with 6 m/s^2 and 0.6 s to build up
 # those after which gaps are looked at; in between, they are less by a few cm at most
 LOOKED_AT = (1, 2, 3, 4, 6, 8, 10, 12, 15, 18, 21, 24, 28, 32, 36, 40, 45, 50, 56, 64, 80)
@@ -33,6 +35,13 @@ class Motion:
     s: Tensor
     d: Tensor
     askew: Tensor
+
+    @staticmethod
+    def of(shape: VehicleShape, state: VehicleState, sight: Sight) -> Motion:
+        """Vehicles [R] on the lanes that they see."""
+        path = Path.ahead(sight)
+        s, d, yaw = path.locate(state.x, state.y)
+        return Motion(shape, state, path, s, d, wrap_angle(state.yaw - yaw))
 
     def take(self, index: Tensor) -> Motion:
         """Rows ``index``."""
@@ -144,8 +153,8 @@ def _toward(
     sim: SimConfig,
     config: GuardConfig,
 ) -> Tensor:
-    """Steering rate that makes the direction relative to the path decay, askew' = -askew / tau."""
-    bend = curvature - askew / (config.straighten * speed.clamp_min(1.0))
+    """Steering rate that makes the direction relative to the path decay, askew' = -askew / tau, if fast."""
+    bend = curvature - askew / (config.straighten * speed).clamp_min(SHORTEST)
     wanted = torch.atan(wheelbase * bend)
     return ((wanted - steer) / sim.dt).clamp(-config.steering_rate, config.steering_rate)
 

@@ -42,18 +42,19 @@ from torch import Tensor
 
 from phase_sumo.config import Actions, GuardConfig, SimConfig
 from phase_sumo.sim import kinematics
-from phase_sumo.sim.fallback import limits, straighten
-from phase_sumo.sim.hazards import edges_beside, judge, near_edge, too_fast
+from phase_sumo.sim.fallback import Motion, limits, straighten
+from phase_sumo.sim.hazards import edges_beside, judge, near_edge, near_others, reach_aside, too_fast
 from phase_sumo.sim.neighbours import nearest
 from phase_sumo.sim.path import Sight
 from phase_sumo.sim.road_map import RoadMap
-from phase_sumo.sim.surroundings import Surroundings, surroundings
+from phase_sumo.sim.surroundings import Surroundings, near_pairs, surroundings
 from phase_sumo.sim.vehicles import TensorBatch, VehicleShape, VehicleState
 from phase_sumo.sim.worlds import Worlds
 
 BUILD_UP = (0.25, 0.5, 1.0)  # shares of the emergency jerk that the guard may brake with
 PER_METRE = 1e4  # nats that a metre of shortage outweighs
 SLACK = 0.1  # m by which a shortage may come from rounding and from how well the lane is known
+GENTLE = 0.1  # rad/s up to which the guard may choose among the policy's other steering rates
 # nats by which running along the lane, and braking harder while doing so, come after other actions
 STRAIGHT, HARDER = 1.0, 5.0
 
@@ -100,20 +101,29 @@ def guarded(
         index, mask: [R, K] the nearest others and which are real.
         sight: [M] the road as everybody sees it.
     """
-    around = surroundings(shape, state, rows, index, mask, sight, sim, config)
-    motion = around.motion
+    motion = Motion.of(shape.take(rows), state.take(rows), sight.take(rows))
     jerks, rates = kinematics.lattice(motion.state, alpha, actions, sim.dt)
     token, columns = scores.argmax(1), rates.shape[1]
     jerk = jerks.gather(1, token.unsqueeze(1) // columns)
     rate = rates.gather(1, token.unsqueeze(1) % columns)
     reason = torch.zeros_like(token)
-    busy = near_edge(motion, rate.squeeze(1), sim) | (too_fast(motion, jerk, sim, config) > 0.0).squeeze(1)
-    busy[around.contacts.row] = True
-    some = busy.nonzero().squeeze(1)
-    around = around.take(some)
+    aside = reach_aside(motion, rate.squeeze(1), sim)
+    busy = near_edge(motion, sight.take(rows), aside, config)
+    busy |= (too_fast(motion, jerk, sim, config) > 0.0).squeeze(1)
+    edge = busy.clone()
+    row, other = near_pairs(shape, state, rows, index, mask, sim, config)
+    busy[row] = True
+    some, number = busy.nonzero().squeeze(1), busy.cumsum(0) - 1
+    near = number[row], other
+    around = surroundings(shape, state, rows[some], motion.take(some), near, sight, sim, config)
+    close = near_others(around.contacts, aside[some], config)
+    busy = edge[some]
+    busy[around.contacts.row[close]] = True
+    some, around = some[busy], around.take(busy.nonzero().squeeze(1))
     edges = edges_beside(around.motion, sight.take(rows[some]))
-    reason[some] = judge(around, edges, jerk[some], rate[some], sim, config)[1].flatten()
-    wanted = Decision(token, jerk.squeeze(1), rate.squeeze(1), reason, torch.zeros_like(busy))
+    near = around.among(near_others(around.contacts, aside[some], config))
+    reason[some] = judge(near, edges, jerk[some], rate[some], sim, config)[1].flatten()
+    wanted = Decision(token, jerk.squeeze(1), rate.squeeze(1), reason, torch.zeros_like(edge))
     few = (reason[some] > 0).nonzero().squeeze(1)
     if len(few):
         at = some[few]
@@ -145,6 +155,10 @@ def _instead(
     # of about equally unsafe ones the preferred
     steps = torch.ceil(shortage / SLACK) * SLACK
     value = torch.where(shortage > 0.0, value - PER_METRE * (1.0 + steps), value)
+    # nobody is saved by a jerk at the wheel
+    wanted = rates.gather(1, (scores.argmax(1, keepdim=True) % columns))
+    sharp = rates.abs() > wanted.abs().clamp_min(GENTLE)
+    value[:, :, :-1].masked_fill_(sharp.unsqueeze(1), -torch.inf)
     best = value.flatten(1).argmax(1, keepdim=True)
     along, across = best // (columns + 1), best % (columns + 1)
     rate = all_rates.gather(1, across)

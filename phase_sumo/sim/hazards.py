@@ -62,15 +62,34 @@ def edges_beside(motion: Motion, sight: Sight) -> Tensor:
     return torch.stack(road_between(sight, motion.path, motion.s, ahead))
 
 
-def near_edge(motion: Motion, rate: Tensor, sim: SimConfig) -> Tensor:
-    """Whether vehicles [R] may soon have a corner out of the lane, with steering rates [R]."""
+def reach_aside(motion: Motion, rate: Tensor, sim: SimConfig) -> Tensor:
+    """m by which corners of vehicles [R] may soon be farther aside than now, with steering rates [R]."""
     shape, state = motion.shape, motion.state
     curvature = motion.path.curvature_at(motion.s.unsqueeze(1)).squeeze(1)
     bend = ((state.steer + rate * sim.dt) / shape.wheelbase - curvature).abs()
     askew = motion.askew.abs() + bend * state.speed * TURN
     ahead = state.speed * TURN + shape.front_overhang
     behind = shape.trailer_length * (state.hitch.abs() + motion.askew.abs())
-    return motion.d.abs() + 0.5 * shape.width + torch.maximum(askew * ahead, behind) > HALF_LANE
+    return torch.maximum(askew * ahead, behind)
+
+
+def near_edge(motion: Motion, sight: Sight, aside: Tensor, config: GuardConfig) -> Tensor:
+    """Whether vehicles [R] may come near the road's edge, reaching ``aside`` [R] m."""
+    half = 0.5 * torch.maximum(motion.shape.width, motion.shape.trailer_width)
+    out = (motion.d.abs() + half + aside > HALF_LANE).nonzero().squeeze(1)
+    right, left = edges_beside(motion.take(out), sight.take(out))
+    d, half = motion.d[out], (half + aside)[out]
+    near = torch.zeros_like(aside, dtype=torch.bool)
+    near[out] = torch.maximum(d + half - left, right - d + half) > -config.approach_edge
+    return near
+
+
+def near_others(c: Contacts, aside: Tensor, config: GuardConfig) -> Tensor:
+    """Whether those of contacts [E] may come near, if the vehicles [R] themselves reach ``aside`` m."""
+    drift = c.sideways.abs()
+    drift = drift * torch.where(drift > config.wobble, config.crossing, config.drift)
+    room = aside[c.row] + torch.maximum(drift, c.shift.abs().amax(1)) + config.approach
+    return c.apart < room
 
 
 def too_fast(motion: Motion, jerk: Tensor, sim: SimConfig, config: GuardConfig) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from phase_sumo.config import GuardConfig, SimConfig
-from phase_sumo.sim.fallback import Motion, Pieces, braking, braking_of_others
+from phase_sumo.sim.fallback import Motion, Pieces, braking, braking_of_others, limits
 from phase_sumo.sim.geometry import wrap_angle
 from phase_sumo.sim.path import Path, Sight
 from phase_sumo.sim.vehicles import TensorBatch, VehicleShape, VehicleState
@@ -18,10 +18,10 @@ CROSSWISE = 0.5  # cosine of the direction relative to the path: less counts as 
 LATER = (1.25, 2.5)  # s, when it is looked whether lanes have come together
 UNSURE = 0.3  # m, how well the far road is known sideways
 # Who is certainly out of reach is not looked at:
-WEAKEST, HARDEST = 6.0, 9.0  # m/s^2, braking of vehicles behind and ahead
-NEAREST = 3.0  # m
+MOST_ACCEL = 4.0  # m/s^2
+NEAREST = 1.5  # m
 SIDE_ROOM = 1.0  # m sideways within a step and a fallback, and what is covered sideways in 1 s
-LANES_BESIDE, BENT = 6.0, 0.002  # m sideways of the vehicle's direction, and in bends 1/m
+LANES_BESIDE, BENT = 6.0, 0.02  # m sideways of the vehicle's direction, and in bends 1/m
 SAME_LANE = 0.8  # m sideways up to which those behind follow in the same lane
 
 
@@ -92,27 +92,27 @@ class Surroundings:
             self.shape, self.state, self.rows[index], self.motion.take(index), pieces, contacts
         )
 
+    def among(self, some: Tensor) -> Surroundings:
+        """With ``some`` [E] of the contacts alone."""
+        return replace(self, contacts=self.contacts.take(some.nonzero().squeeze(1)))
+
 
 def surroundings(
     shape: VehicleShape,
     state: VehicleState,
     rows: Tensor,
-    index: Tensor,
-    mask: Tensor,
+    motion: Motion,
+    near: tuple[Tensor, Tensor],
     sight: Sight,
     sim: SimConfig,
     config: GuardConfig,
 ) -> Surroundings:
-    """See `guard.guarded` for the arguments."""
-    lanes = Path.ahead(sight)
-    lane_s, lane_d, _ = lanes.locate(state.x, state.y)
-    own, now, path = shape.take(rows), state.take(rows), lanes.take(rows)
-    s, d, yaw = path.locate(now.x, now.y)
-    askew = wrap_angle(now.yaw - yaw)
-    pieces = Pieces.of(own, torch.arange(len(rows)))
+    """See `guard.guarded` for the arguments; ``motion`` is of the ``rows``, ``near`` as of `near_pairs`."""
+    now, path, askew = motion.state, motion.path, motion.askew
+    pieces = Pieces.of(motion.shape, torch.arange(len(rows)))
     own_rear, own_front, own_low, own_high, _ = _extent(pieces, now, pieces.row, path.take(pieces.row))
 
-    row, other = _near(shape, state, rows, index, mask, path)
+    row, other = near
     theirs = Pieces.of(shape, other)
     pairs, row, other = len(row), row[theirs.row], other[theirs.row]
     rear, front, low, high, turn = _extent(theirs, state, other, path.take(row))
@@ -138,9 +138,10 @@ def surroundings(
     )
     e, mine, apart, gap = (v[keep] for v in (e, mine, apart, gap))
     row, other = row[e], other[e]
-    later = [lanes.at(lane_s + state.speed * t, lane_d) for t in (0.0, *LATER)]
-    mine_lane = path.take(row)
-    aside = torch.stack([mine_lane.locate(x[other], y[other])[1] for x, y in later], 1)
+    mine_lane, lane, x, y = path.take(row), Path.ahead(sight.take(other)), state.x[other], state.y[other]
+    lane_s, lane_d, _ = lane.locate(x, y)
+    later = [lane.at(lane_s + state.speed[other] * t, lane_d) for t in (0.0, *LATER)]
+    aside = torch.stack([mine_lane.locate(x, y)[1] for x, y in later], 1)
     shift = aside[:, 1:] - aside[:, :1]
     shift = shift - shift.clamp(-UNSURE, UNSURE)
     contacts = Contacts(
@@ -157,32 +158,52 @@ def surroundings(
         leads=_leads(shape, state, rows[row], other),
         standing=(state.speed[other] < STANDING) | (torch.cos(turn[e]) < CROSSWISE),
     )
-    return Surroundings(shape, state, rows, Motion(own, now, path, s, d, askew), pieces, contacts)
+    return Surroundings(shape, state, rows, motion, pieces, contacts)
 
 
-def _near(
-    shape: VehicleShape, state: VehicleState, rows: Tensor, index: Tensor, mask: Tensor, path: Path
+def near_pairs(
+    shape: VehicleShape,
+    state: VehicleState,
+    rows: Tensor,
+    index: Tensor,
+    mask: Tensor,
+    sim: SimConfig,
+    config: GuardConfig,
 ) -> tuple[Tensor, Tensor]:
     """Pairs of a vehicle (its place in ``rows``) and another that may have to brake for one another.
 
-    If both brake, the one behind comes nearer by no more than the difference of their ways to stop.
+    Whoever is not among them is too far ahead or behind, whichever the lane: see `_closer`.
     """
-    table = torch.stack((state.x, state.y, shape.reach, state.speed)).T
-    x, y, reach, speed = table[index].unbind(2)
-    own_x, own_y, own_reach, own_speed = table[rows].T.unsqueeze(2)
+    b, build_up = limits(shape.truck, sim, config)
+    theirs = torch.where(shape.truck, config.others_braking[1], config.others_braking[0])
+    # the step that is decided on, and until the brakes hold if the vehicle speeds up until then
+    lost = (MOST_ACCEL + b) / (2.0 * build_up) + 1.5 * sim.dt
+    rear = torch.where(shape.articulated, shape.reach, shape.rear_overhang)
+    columns = (state.x, state.y, state.speed, shape.front_overhang, rear, b, theirs, lost)
+    table = torch.stack(columns).T
+    x, y, speed, front, rear, b, theirs, lost = table[index].unbind(2)
+    own_x, own_y, own_speed, own_front, own_rear, own_b, own_theirs, own_lost = table[rows].T.unsqueeze(2)
     cos, sin = torch.cos(state.yaw[rows]).unsqueeze(1), torch.sin(state.yaw[rows]).unsqueeze(1)
     dx, dy = x - own_x, y - own_y
     u, w = dx * cos + dy * sin, (dy * cos - dx * sin).abs()
-    late, early = (v / (2.0 * b) for v, b in ((own_speed.square(), WEAKEST), (speed.square(), HARDEST)))
-    ahead = (late - early).clamp_min(0.0) + 0.7 * own_speed
-    late, early = (v / (2.0 * b) for v, b in ((speed.square(), WEAKEST), (own_speed.square(), HARDEST)))
-    behind = (late - early).clamp_min(0.0) + 0.7 * speed
-    bodies = own_reach + reach + NEAREST
-    bend = path.curvature.abs().amax(1, keepdim=True) + BENT
-    near = mask & (u < ahead + bodies) & (u > -behind - bodies) & (w < LANES_BESIDE + bend * u.square())
+    ahead = _closer(own_speed, own_b, speed, theirs) + own_lost * own_speed + own_front + rear
+    behind = _closer(speed, b, own_speed, own_theirs) + lost * speed + front + own_rear
+    near = mask & (u < ahead + NEAREST) & (u > -behind - NEAREST) & (w < LANES_BESIDE + BENT * u.square())
     near &= (u > 0.0) | (w > SAME_LANE)
     row, k = near.nonzero(as_tuple=True)
     return row, index[row, k]
+
+
+def _closer(speed: Tensor, b: Tensor, lead_speed: Tensor, lead_b: Tensor) -> Tensor:
+    """m by which a follower comes nearer at most if both brake, with b and lead_b m/s^2, from now on.
+
+    When both stand, v^2 / 2 b - v_l^2 / 2 b_l; or, if it brakes harder, when it is no longer faster,
+    (v - v_l)^2 / 2 (b - b_l).
+    """
+    standing = speed.square() / (2.0 * b) - lead_speed.square() / (2.0 * lead_b)
+    harder = (b - lead_b).clamp_min(1e-3)
+    alike = torch.where(b > lead_b, (speed - lead_speed).clamp_min(0.0).square() / (2.0 * harder), 0.0)
+    return torch.maximum(standing.clamp_min(0.0), alike)
 
 
 def _short(

@@ -12,6 +12,7 @@ from phase_sumo.bridge.fleet.contacts import ContactMonitor, RoadEdgeMonitor
 from phase_sumo.bridge.fleet.controller import Controller
 from phase_sumo.bridge.fleet.fleet import Fleet
 from phase_sumo.bridge.fleet.goals import GoalPlanner
+from phase_sumo.bridge.fleet.guarded import Guarding
 from phase_sumo.bridge.fleet.road import Road
 from phase_sumo.bridge.fleet.scene import Scene
 from phase_sumo.bridge.outputs.recorder import Recorder
@@ -30,7 +31,8 @@ PARTS: dict[str, tuple[Any, str]] = {
     "goals": (GoalPlanner, "update"),
     "neighbours": (Controller, "_neighbours"),
     "observe": (controller, "observe"),
-    "policy": (Policy, "act"),
+    "policy": (Policy, "scores"),
+    "guard": (Guarding, "correct"),
     "kinematics": (Controller, "_move"),
     "write": (Fleet, "drive"),
 }

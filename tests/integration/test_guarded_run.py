@@ -50,10 +50,10 @@ def test_with_the_guard_nobody_is_run_into_and_without_they_are(tmp_path):
     )
     assert result["guard_seconds"] == pytest.approx(0.1 * result["guard_interventions"], abs=0.01)
     assert json.loads((tmp_path / "out" / "result.json").read_text())["guard_jerk"] > 10.0
-    assert result["fleet"]["guard_cpu_us_per_vehicle_step"] > 0
+    assert result["guard_cpu_us_per_vehicle_step"] > 0
     off, trips = drive(tmp_path, guard=False)
     assert off["phase_at_fault_collisions"] == 3 and off["guard_interventions"] == 0
-    assert off["fleet"]["guard_cpu_us_per_vehicle_step"] == 0
+    assert off["guard_cpu_us_per_vehicle_step"] == 0
 
 
 @pytest.mark.parametrize(("param", "guard", "collisions"), [("off", True, 3), ("on", False, 0)])
@@ -68,5 +68,5 @@ def test_the_command_line_turns_it_off(tmp_path, capsys):
     for words in ([], ["--guard", "off"]):
         out = tmp_path / "result.json"
         main(["run", str(cfg), "--alpha", "0.8", "--end", "3", "--json", str(out), *words])
-        found.append(json.loads(out.read_text())["fleet"]["guard_cpu_us_per_vehicle_step"] > 0)
+        found.append(json.loads(out.read_text())["guard_cpu_us_per_vehicle_step"] > 0)
     assert found == [True, False]

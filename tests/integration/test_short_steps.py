@@ -22,7 +22,8 @@ DRIVEN = {name: speed for name, kind, *_, speed in SCENE if kind != "native"}
 def run(folder: Path, step: float, end: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Result, and [n, 5] of each vehicle: when SUMO had the state, and `COLUMNS` of it."""
     cfg = write_scenario(folder, "f12_scurve2", SCENE, step, FCD)
-    result = run_scenario(cfg, policy=Standin(), seed=1, end=end, output_dir=folder / "out", record=False)
+    out = folder / "out"
+    result = run_scenario(cfg, policy=Standin(), guard=False, seed=1, end=end, output_dir=out, record=False)
     rows = defaultdict(list)
     for frame in ET.parse(folder / "out" / "fcd.xml").getroot():
         time = float(frame.get("time", "nan")) + step  # SUMO's label is when the step began

@@ -32,7 +32,7 @@ def test_observations_and_next_states(tmp_path, monkeypatch, road, step):
     All see what their places show: along routes, where a place shows another road, only the bridge looks.
     """
     nothing = staticmethod(
-        lambda table, node, routes: (np.full(len(node), -1), np.zeros(len(node), np.float32))
+        lambda table, node, routes: (np.full(len(node), -1), np.zeros(len(node), np.int64))
     )
     monkeypatch.setattr(RouteViews, "seen", nothing)
     network, driver = read_network(NETWORKS / f"{road}.net.xml"), Standin()

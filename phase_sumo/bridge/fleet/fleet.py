@@ -83,6 +83,11 @@ class Fleet:
         return 1e6 * self._controller.cpu / max(self._controller.decisions, 1)
 
     @property
+    def guard_cpu_per_decision(self) -> float:
+        """CPU microseconds that the guard takes of those, per decision that it looks at."""
+        return 1e6 * self._guarding.cpu / max(self._guarding.decisions, 1)
+
+    @property
     def guarded_decisions(self) -> int:
         """Decisions that the guard looked at."""
         return self._guarding.decisions
@@ -96,7 +101,6 @@ class Fleet:
             "hand_backs": happened["hand-back"],
             "lane_change_goals": self._planner.changes_wanted,
             "decisions": self._controller.decisions,
-            "guard_cpu_us_per_vehicle_step": 1e6 * self._guarding.cpu / max(self._guarding.decisions, 1),
         }
 
     def take(self, vehicle: str) -> None:
