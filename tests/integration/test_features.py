@@ -97,7 +97,7 @@ def driven(tmp_path):
     """Runs a loop of the caller's own: what is done at 2 s -> lanes of each vehicle, and the events."""
 
     def run(demand, do):
-        built = Run(tmp_path, OPEN, demand, end=1)  # for its files
+        Run(tmp_path, OPEN, demand, end=1)  # for its files
         libsumo.start(["sumo", "-c", str(tmp_path / "s.sumocfg"), "--end", "60", *phase_sumo.SUMO_OPTIONS])
         fleet = phase_sumo.PhaseFleet(libsumo, Standin())
         libsumo.addStepListener(fleet)
@@ -109,7 +109,7 @@ def driven(tmp_path):
             for vehicle in libsumo.vehicle.getIDList():
                 lanes[vehicle].add(libsumo.vehicle.getLaneID(vehicle))
         fleet.close()
-        assert built.result["vehicles"] == len(lanes) and fleet.report()["accounts_balance"]
+        assert fleet.report()["vehicles"] == len(lanes) and fleet.report()["accounts_balance"]
         return lanes, fleet.events
 
     yield run
