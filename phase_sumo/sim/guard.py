@@ -9,12 +9,13 @@ least bad one and says so.
 What holds. Let A follow B: B is ahead, and the strip of road that A's fallback covers overlaps with B. With
 
     x_A(t): A's way with the action for a step, then a' = -J up to a = -b, in steps of `kinematics.advance`
-    x_B(t): B's way braking with b_B from now on
+    x_B(t): B's way braking from now on, a' = -J_B up to a = -b_B
 
 the action is safe only if gap + x_B(t) - x_A(t) >= `GuardConfig.gap` for all t until both stand. Then A does
 not run into B as long as
 
-1. B brakes no harder than b_B (`GuardConfig.others_braking`),
+1. B brakes no harder than b_B, and its braking builds up no faster than J_B (`GuardConfig.others_braking`,
+   `GuardConfig.others_jerk`),
 2. B does not come nearer sideways than it would in `GuardConfig.drift` seconds as it moves now, nor than its
    lane leads it within 2.5 s: who cuts in without notice and too close to be avoided is not avoided,
 3. A has been safe with respect to B once since it follows B, and
