@@ -212,7 +212,7 @@ class PhaseFleet(StepListener):
         phase = [t for t in trips if t.adopted]
         accounts = self.scene.accounts()
         travel = [t.arrive - t.depart for t in trips if math.isfinite(t.arrive)]
-        guard = tally(trips, fleet.guarded_decisions if fleet else 0)
+        guard = tally(trips, fleet.guarding.decisions if fleet else 0)
         report: dict[str, Any] = {
             "share": self.choice.probability,
             "seed": self.choice.seed,
@@ -228,7 +228,7 @@ class PhaseFleet(StepListener):
             "phase_vehicle_km": sum(t.policy_metres for t in trips) / 1000.0,
             "sim_seconds": self._last - self._start,
             "policy_cpu_us_per_vehicle_step": fleet.cpu_per_decision if fleet else 0.0,
-            "guard_cpu_us_per_vehicle_step": fleet.guard_cpu_per_decision if fleet else 0.0,
+            "guard_cpu_us_per_vehicle_step": fleet.guarding.cpu_per_decision if fleet else 0.0,
             "share_of_time_under_policy": _ratio(
                 sum(t.policy_seconds for t in phase), sum(t.seconds for t in phase)
             ),

@@ -38,7 +38,7 @@ VAPORIZED = 3
 
 
 class Fleet:
-    """Owns the poses of its vehicles; SUMO is told about them after every step."""
+    """Owns the poses of its vehicles; SUMO is told about them after every step. ``guarding`` watches them."""
 
     def __init__(
         self,
@@ -63,9 +63,9 @@ class Fleet:
         self._rules = LaneRules(self._api, self._road, restrictions(self._api))
         self._ways = RightOfWay(self._api, self._road)
         self._speeds = TargetSpeeds(self._road, scene.table, self._ways.yields)
-        self._guarding = Guarding(scene.table, scene.trips)
+        self.guarding = Guarding(scene.table, scene.trips)
         self._controller = Controller(
-            self._road, scene.table, drivers, self._steps, self._speeds, self._planner, self._guarding
+            self._road, scene.table, drivers, self._steps, self._speeds, self._planner, self.guarding
         )
         self._members: dict[str, Member] = {}
         self._released: set[str] = set()
@@ -81,16 +81,6 @@ class Fleet:
     def cpu_per_decision(self) -> float:
         """CPU microseconds per vehicle and policy step."""
         return 1e6 * self._controller.cpu / max(self._controller.decisions, 1)
-
-    @property
-    def guard_cpu_per_decision(self) -> float:
-        """CPU microseconds that the guard takes of those, per decision that it looks at."""
-        return 1e6 * self._guarding.cpu / max(self._guarding.decisions, 1)
-
-    @property
-    def guarded_decisions(self) -> int:
-        """Decisions that the guard looked at."""
-        return self._guarding.decisions
 
     def report(self) -> dict[str, Any]:
         """Counts beyond the common ones."""

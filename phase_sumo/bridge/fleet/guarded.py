@@ -60,6 +60,11 @@ class Guarding:
         self.cpu = 0.0
         self.decisions = 0
 
+    @property
+    def cpu_per_decision(self) -> float:
+        """CPU microseconds per decision that was looked at."""
+        return 1e6 * self.cpu / max(self.decisions, 1)
+
     def correct(
         self,
         scores: Tensor,
