@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import phase_sumo
+from phase_sumo.atomic_files import write_whole
 from phase_sumo.errors import PhaseError
-from phase_sumo.files import write_whole
 
 CLONE = Path(phase_sumo.__file__).resolve().parent.parent
 DEMO = CLONE / "scenarios" / "merge" / "merge.sumocfg"

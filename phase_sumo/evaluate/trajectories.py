@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_sumo.atomic_files import whole
 from phase_sumo.errors import PhaseError
-from phase_sumo.files import whole
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from phase_sumo.atomic_files import write_whole
 from phase_sumo.config import Actions, Network, SimConfig, from_dict, restore, to_dict
 from phase_sumo.errors import PhaseError
-from phase_sumo.files import write_whole
 from phase_sumo.policy.build import build_network
 from phase_sumo.policy.network import ActorCritic, choose
 from phase_sumo.sim.observation import LAYOUT, Observation

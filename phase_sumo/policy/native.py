@@ -18,8 +18,8 @@ import platformdirs
 import torch
 from torch import Tensor
 
+from phase_sumo.atomic_files import write_whole
 from phase_sumo.config import NetworkConfig
-from phase_sumo.files import write_whole
 from phase_sumo.sim.compiler import cpp_compiler
 from phase_sumo.sim.observation import PARTNER, ROAD, Observation
 

@@ -15,13 +15,13 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from phase_sumo import __version__
+from phase_sumo.atomic_files import write_whole
 from phase_sumo.bridge.check import Check
 from phase_sumo.bridge.fleet.guarded import warning
 from phase_sumo.evaluate import measures, surrogate_safety, traffic
 from phase_sumo.evaluate.measures import MEASURES, Measure
 from phase_sumo.evaluate.traffic import Corridor
 from phase_sumo.evaluate.trajectories import Trajectories
-from phase_sumo.files import write_whole
 from phase_sumo.report import playback, plots, road_pictures
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.studies.driver_models import is_phase, label

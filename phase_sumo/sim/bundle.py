@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.npyio import NpzFile
 
+from phase_sumo.atomic_files import whole
 from phase_sumo.config import ScenarioConfig
 from phase_sumo.errors import PhaseError
-from phase_sumo.files import whole
 from phase_sumo.sim.lane_graph import LaneGraph
 from phase_sumo.sim.lanes import GeoReference, LaneNetwork
 from phase_sumo.sim.pool import StartGoalPool

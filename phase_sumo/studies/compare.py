@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from phase_sumo.atomic_files import write_whole
 from phase_sumo.bridge.check import check_scenario
 from phase_sumo.bridge.drive_options import DriveOptions
 from phase_sumo.bridge.fleet.drivers import Driver
@@ -22,7 +23,6 @@ from phase_sumo.evaluate.measures import MEASURES
 from phase_sumo.evaluate.statistics import CONFIDENCE, summarise
 from phase_sumo.evaluate.traffic import Corridor
 from phase_sumo.evaluate.trajectories import Trajectories
-from phase_sumo.files import write_whole
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.sim.lanes import LaneNetwork
 from phase_sumo.studies.driver_models import parse_models

@@ -8,14 +8,14 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+from phase_sumo.atomic_files import write_whole
 from phase_sumo.errors import PhaseError
-from phase_sumo.files import write_whole
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def write(path: Path, data: bytes) -> None:
-    """Write all of ``data`` or nothing, see `files.whole`.
+    """Write all of ``data`` or nothing, see `atomic_files.whole`.
 
     Raises:
         PhaseError: it cannot be written; what was at ``path`` is intact.

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from phase_sumo.bridge.maps.convert import build_bundle
-from phase_sumo.config import ActionConfig, RewardConfig, ScenarioConfig, SimConfig
+from phase_sumo.config import ScenarioConfig, TaskConfig
 from phase_sumo.sim.bundle import MapBundle
 from phase_sumo.sim.environment import Environment
 from tests.helpers.rollouts import token
@@ -23,9 +23,7 @@ SLOTS = 48
 
 def environment(bundle: MapBundle, worlds: int) -> Environment:
     scenarios = ScenarioConfig(agent_scale=0.25)
-    return Environment(
-        [bundle], worlds, SLOTS, SimConfig(), scenarios, RewardConfig(), ActionConfig(), training=True
-    )
+    return Environment([bundle], worlds, SLOTS, TaskConfig(scenarios=scenarios), training=True)
 
 
 def coast(env: Environment, steps: int) -> None:

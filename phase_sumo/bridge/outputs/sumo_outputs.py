@@ -15,11 +15,11 @@ from typing import Any
 
 from lxml import etree  # type: ignore[attr-defined]  # has no stubs
 
+from phase_sumo.atomic_files import write_whole
 from phase_sumo.bridge.fleet.event_log import Event, under_policy
 from phase_sumo.bridge.fleet.scene import REMOVED_BY_SUMO, Scene
 from phase_sumo.bridge.outputs.lane_records import LaneChange, LaneChanges, LaneWays, RouteLengths
 from phase_sumo.bridge.sumo.file_names import writes_file, written
-from phase_sumo.files import write_whole
 
 
 def read_output(path: Path) -> Any:

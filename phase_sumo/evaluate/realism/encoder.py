@@ -22,8 +22,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
+from phase_sumo.atomic_files import write_whole
 from phase_sumo.errors import PhaseError
-from phase_sumo.files import write_whole
 from phase_sumo.logs.recording import PERIOD, Recording
 
 STRIDE = 5  # samples of a recording from one token to the next
