@@ -305,7 +305,7 @@ def test_own_loop_traci_and_run_are_the_same_simulation(scenario):
             connection.simulationStep()
         reports.append(fleet.report())
         sumo.close()
-    clocks = {"policy_cpu_us_per_vehicle_step"}
+    clocks = {"policy_cpu_us_per_vehicle_step", "guard_cpu_us_per_vehicle_step"}
     assert ran["phase_vehicle_km"] > 1.0
     for name in set(reports[0]) - clocks:
         assert ran[name] == over_traci[name] == reports[1][name], name
