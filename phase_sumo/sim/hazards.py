@@ -163,10 +163,10 @@ def _later(c: Contacts, low: Tensor, high: Tensor, config: GuardConfig) -> Tenso
 
     Nobody keeps to the middle of the lane exactly: slow movement sideways is not taken to go on.
     """
-    going = torch.where(c.sideways.abs() > config.wobble, c.sideways, 0.0)
+    going = torch.where(c.sideways.abs().unsqueeze(1) > config.wobble, c.going, 0.0)
     meet = torch.full_like(low, torch.inf)
     for k in reversed(range(len(LATER))):
-        moved = going * min(LATER[k], config.crossing)
+        moved = going[:, k]
         theirs_low = (c.low + torch.minimum(c.shift[:, k], moved)).unsqueeze(1)
         theirs_high = (c.high + torch.maximum(c.shift[:, k], moved)).unsqueeze(1)
         meet = torch.where((theirs_low < high) & (theirs_high > low), LATER[k], meet)

@@ -42,6 +42,7 @@ class Contacts(TensorBatch):
         low, high: the strip of road that the other covers now, m.
         sideways: m/s at which it moves to the left of the path.
         shift: [E, 2] m to the left that the strip will have moved after `LATER`, if both keep their lanes.
+        going: [E, 2] m to the left that it moves until `LATER` if it keeps its direction.
         leads: the front of the other is ahead of mine.
         standing: the other stands.
     """
@@ -56,6 +57,7 @@ class Contacts(TensorBatch):
     high: Tensor
     sideways: Tensor
     shift: Tensor
+    going: Tensor
     leads: Tensor
     standing: Tensor
 
@@ -140,10 +142,12 @@ def surroundings(
     row, other = row[e], other[e]
     mine_lane, lane, x, y = path.take(row), Path.ahead(sight.take(other)), state.x[other], state.y[other]
     lane_s, lane_d, _ = lane.locate(x, y)
-    later = [lane.at(lane_s + state.speed[other] * t, lane_d) for t in (0.0, *LATER)]
+    speed, accel = state.speed[other], state.accel[other]
+    later = [lane.at(lane_s + _way(speed, accel, t), lane_d) for t in (0.0, *LATER)]
     aside = torch.stack([mine_lane.locate(x, y)[1] for x, y in later], 1)
     shift = aside[:, 1:] - aside[:, :1]
     shift = shift - shift.clamp(-UNSURE, UNSURE)
+    going = [torch.sin(turn[e]) * _way(speed, accel, min(t, config.crossing)) for t in LATER]
     contacts = Contacts(
         row=row,
         mine=mine,
@@ -155,10 +159,21 @@ def surroundings(
         high=high[e],
         sideways=sideways[e],
         shift=shift,
+        going=torch.stack(going, 1),
         leads=_leads(shape, state, rows[row], other),
         standing=(state.speed[other] < STANDING) | (torch.cos(turn[e]) < CROSSWISE),
     )
     return Surroundings(shape, state, rows, motion, pieces, contacts)
+
+
+def _way(speed: Tensor, accel: Tensor, seconds: float) -> Tensor:
+    """m driven in some s by others who go on braking, if they brake now, and never speed up.
+
+    Who slows down for a line or a gap, as at the end of a ramp, stops there.
+    """
+    braking = (-accel).clamp_min(1e-3)
+    until = torch.minimum(speed / braking, torch.full_like(speed, seconds))
+    return speed * until - 0.5 * braking * until.square()
 
 
 def near_pairs(

@@ -70,7 +70,12 @@ class Run:
             f'<end value="{changes.get("end", 45)}"/></configuration>'
         )
         self.result = run_scenario(
-            cfg, policy=Standin(), share=changes.get("share", 1.0), output_dir=folder / "out", record=False
+            cfg,
+            policy=Standin(),
+            share=changes.get("share", 1.0),
+            guard=changes.get("guard", True),
+            output_dir=folder / "out",
+            record=False,
         )
         self.events: list[Event] = read_events(folder / "out" / "events.csv")
         self.seen: dict[str, list[Seen]] = defaultdict(list)
