@@ -19,10 +19,10 @@ from phase_sumo.bridge.maps.convert import build_bundle
 from phase_sumo.bridge.maps.sumo_network import read_network
 from phase_sumo.config import SimConfig
 from phase_sumo.evaluate.fixed_worlds import Start, drive, policy_driver
-from phase_sumo.evaluate.steering.outcomes import SHAPES, Kind
 from phase_sumo.policy.checkpoint import load_policy
 from phase_sumo.report.map_picture import draw_road, turned
 from phase_sumo.sim.bundle import MapBundle
+from phase_sumo.sim.dimensions import Kind, mean_shape
 from phase_sumo.sim.vehicles import HISTORY, Task, VehicleShape, VehicleState, boxes
 from tools.places import NETWORKS, RESULTS
 
@@ -84,9 +84,10 @@ def start(bundle: MapBundle) -> Start:
         return (*graph.node_xy[node].tolist(), float(graph.node_yaw[node]))
 
     worlds = [(ego, *OTHERS) for ego in CONTEXTS.values()]
-    shape = _columns([[(*SHAPES[v.kind],) for v in world] for world in worlds])
-    truck = torch.tensor([[v.kind != "car" for v in world] for world in worlds])
-    bodies = VehicleShape(*shape, truck=truck)
+    sizes = [[mean_shape(v.kind) for v in world] for world in worlds]
+    bodies = VehicleShape(
+        **{name: torch.tensor([[size[name] for size in row] for row in sizes]) for name in sizes[0][0]}
+    )
     place = _columns([[pose(v.lane, BEGIN + v.ahead) for v in world] for world in worlds])
     goal = _columns(
         [[pose(v.goal_lane, BEGIN + v.ahead + GOAL_TIME * v.target) for v in world] for world in worlds]
@@ -107,7 +108,7 @@ def start(bundle: MapBundle) -> Start:
     target, alpha = _columns([[(v.target, v.alpha) for v in world] for world in worlds])
     gx, gy, gyaw = goal
     task, index = Task(gx, gy, gyaw, target, alpha), torch.arange(len(worlds))
-    return Start(bodies, state, task, torch.ones_like(truck), 0 * index, index)
+    return Start(bodies, state, task, torch.ones_like(bodies.truck), 0 * index, index)
 
 
 def _columns(rows: list[list[tuple[float, ...]]]) -> list[torch.Tensor]:
