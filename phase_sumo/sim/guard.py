@@ -17,7 +17,8 @@ not run into B as long as
 1. B brakes no harder than b_B, and its braking builds up no faster than J_B (`GuardConfig.others_braking`,
    `GuardConfig.others_jerk`),
 2. B does not come nearer sideways than it would in `GuardConfig.drift` seconds as it moves now, nor than its
-   lane leads it within 2.5 s: who cuts in without notice and too close to be avoided is not avoided,
+   lane leads it within 2.5 s at its speed, or braking on if it brakes now, as before the line at the end of
+   a ramp: who cuts in without notice, or lets go of the brakes, too close to be avoided is not avoided,
 3. A has been safe with respect to B once since it follows B, and
 4. everybody that matters is among those given, and the road ahead is as seen (`path.Path`).
 

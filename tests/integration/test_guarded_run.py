@@ -9,6 +9,7 @@ import pytest
 
 from phase_sumo.bridge.run import run_scenario
 from phase_sumo.cli import main
+from tests.helpers.rules_run import RAMP, Run
 from tests.helpers.scenario_files import write_scenario
 from tests.helpers.standin import Standin
 
@@ -70,3 +71,15 @@ def test_the_command_line_turns_it_off(tmp_path, capsys):
         main(["run", str(cfg), "--alpha", "0.8", "--end", "3", "--json", str(out), *words])
         found.append(json.loads(out.read_text())["guard_cpu_us_per_vehicle_step"] > 0)
     assert found == [True, False]
+
+
+def test_who_brakes_for_the_line_of_a_ramp_is_no_leader_on_the_main_road(tmp_path):
+    """It used to make the main road brake from 22 to 10 m/s."""
+    cars = (
+        '<flow id="main" type="car" from="m0" to="m1" begin="0" end="20" period="2.5" departLane="0" '
+        'departSpeed="24"/><flow id="side" type="car" from="on" to="m1" begin="0" end="4" period="5" '
+        'departSpeed="18"/>'
+    )
+    run = Run(tmp_path, RAMP, cars, end=40)
+    assert "others have the right of way" in run.reasons()
+    assert run.result["collisions"] == run.result["guard_leader"] == 0
